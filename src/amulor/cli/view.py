@@ -98,7 +98,8 @@ def view(
             "--samples, --against, --nearest and --farthest go with a range image or a "
             "cube, not with a cloud or a mesh"
         )
-    if unit is not None and not in_space and against is None:
+    in_meters = against is None or against.suffix.lower() == ".nc"
+    if unit is not None and not in_space and in_meters:
         raise UsageError("--unit goes with a mesh or a cloud; scans are in meters")
     if unit is not None and is_site:
         raise UsageError("--unit goes with a mesh or a cloud; sites are in meters")

@@ -357,6 +357,10 @@ def test_a_plan_without_open_water_is_noted(
         ),
         (["backscatter", "a.toml", "--plot", "x.jpg"], "use one of .png, .svg"),
         (
+            ["view", "a", "--against", "b.nc", "--unit", "mm", "--save", "c.html"],
+            "scans are in meters",
+        ),
+        (
             ["backscatter", "a.toml", "--scheduler", "local", "--batches", "b"],
             "goes with --model photons",
         ),
