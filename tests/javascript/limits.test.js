@@ -15,7 +15,7 @@ test("a typed limit replaces one of the two, in the unit of the scale", () => {
   assert.deepEqual(typed([0.001, 0.002], "high", " 5 ", MILLIMETERS), [0.001, 0.005]);
 });
 
-test("limits of a signed map stay symmetric, so that white is 0", () => {
+test("limits of a signed map stay symmetric, so that gray is 0", () => {
   for (const side of ["low", "high"])
     for (const text of ["-4", "4"])
       assert.deepEqual(typed([-0.001, 0.001], side, text, MILLIMETERS, "signed"), [-0.004, 0.004]);

@@ -12,14 +12,15 @@
 /** @typedef {{name: string, mask: number, words: string, unusable: boolean}} Flag */
 
 const STOPS = {
-  // viridis and cividis (matplotlib, CC0), gray, and ColorBrewer's RdBu.
+  // viridis and cividis (matplotlib, CC0), gray, and ColorBrewer's RdBu with gray in place
+  // of white, which a light page would hide.
   viridis:
     "440154470d6048186a482374472d7b4537814240863e49893b528b375b8d33638d2f6b8e2c728e297a8e26828e23898e21918c1f988b1fa08822a78528ae8032b67a3fbc734ec36b5ec96270cf5784d44b98d83eaddc30c2df23d8e219ece51bfde725",
   cividis:
     "00224e00285b002e6a0533711a386f273e6e32436d3b496c434e6c4b546c535a6d5a5f6e61656f686a716f70737676767d7c788482798c8878938e789b9476a39a74aba072b4a76fbcae6cc4b468cdbb63d5c25edec958e7d150f0d846f9e03afee838",
   grey: "0a0a0a1111111919192121212828283030303838384040404747474f4f4f5757575e5e5e6666666e6e6e7575757d7d7d8585858c8c8c9494949c9c9ca3a3a3abababb3b3b3bababac2c2c2cacacad1d1d1d9d9d9e1e1e1e8e8e8f0f0f0f8f8f8ffffff",
   signed:
-    "10457e1854931f63a82a71b2337eb83e8cbf4c99c662a7ce7bb6d690c4dda2cde3b6d7e8c7e0edd5e7f1e1edf3ecf2f5f6f7f7f9efe9fae7dcfcdecdfcd3bcf9c4a9f6b394f3a481eb9172e27b62da6853d05548c53e3dbb2a34ae172a991027840924",
+    "10457e1854931f63a82a71b2337eb83e8cbf4c99c662a7ce7bb6d694c3d9a6c8dab5ccd8beccd5c0cad0bfc6cabbc0c4b4b9bdbdc0c2c6c4c5cfc7c3d8c6bcdfc0b0e6b49eeba788eb9172e27b62da6853d05548c53e3dbb2a34ae172a991027840924",
 };
 
 /** @typedef {keyof typeof STOPS} MapName */
