@@ -36,7 +36,6 @@ class Traces:
         if number % self._stride(channel) == 0:
             samples.append((key, record))
         if len(samples) > MOST_SAMPLES:
-            # Another thread may read the longer list meanwhile.
             self._samples[channel] = samples[::2]
 
     def _stride(self, channel: tuple[float, str]) -> int:
@@ -56,7 +55,8 @@ class Traces:
                 f"{frequency}"
             )
         at = values[frequency], channel
-        kept = self._samples.get(at, [])
+        # Another thread may add samples meanwhile.
+        kept = list(self._samples.get(at, []))
         samples = Samples(self._survey, 1, max(len(kept), 1))
         for number, (key, record) in enumerate(kept):
             samples.put(key, record, 0, number)

@@ -105,8 +105,17 @@ def test_a_scan_grows_while_the_page_is_open(
             go_on.set()
             until(shown, "document.documentElement.dataset.rows > 0")
             first = shown.evaluate(KNOWN)
+            # The signals of a pixel appear when its row is measured.
+            signal = "amulor.spectrum?.after?.amplitude[0]"
+            below = first // 16 + 1
+            until(shown, f"amulor.cursor[0] < {below}")
+            for _ in range(below - shown.evaluate("amulor.cursor[0]")):
+                shown.press("#map", "ArrowDown")
+            until(shown, f"amulor.spectrum && !({signal} > 0)")
             grow.set()
             until(shown, f"({KNOWN}) > {first}")
+            until(shown, f"{signal} > 0")
+            shown.evaluate("amulor.pinned = null")
             assert shown.inner_text("#scan-card .state").startswith("taking")
             assert "time left" in shown.inner_text("#scan-card")
             # The band across the top, and the title of the tab.

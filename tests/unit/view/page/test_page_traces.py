@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from amulor import acquisition, simulation
+from amulor.acquisition.cube.samples import Samples
 from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import Record
 from amulor.acquisition.plan import Key
@@ -59,6 +61,22 @@ def test_values_are_those_of_the_samples(plate: Survey) -> None:
     assert found["noise"] == pytest.approx([1e-5, 1e-5])
     assert found["mean"] == [0.02, None]
     assert shown.over_time("VH", 0)["elapsed"] == []
+
+
+def test_a_sample_that_arrives_while_the_others_are_read_waits_for_the_next_answer(
+    plate: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = traces(plate)
+    shown.take(KEY, RECORD)
+
+    class Growing(Samples):
+        def __init__(self, *size: Any) -> None:
+            super().__init__(*size)
+            shown.take(KEY._replace(column=1), replace(RECORD, elapsed=1.0))
+
+    monkeypatch.setattr("amulor.view.page.traces.Samples", Growing)
+    assert shown.over_time("VV", 0)["elapsed"] == [0.0]
+    assert shown.over_time("VV", 0)["elapsed"] == [0.0, 1.0]
 
 
 def test_long_scans_are_thinned_evenly(plate: Survey) -> None:

@@ -456,9 +456,12 @@ export function drawSpectrum(canvas, state, colours) {
     ["before", "raw", INK.vermilion, [4, 3]],
     ["water", "water", INK.sky, [1, 3]],
   ].filter(([name]) => spectrum[name]);
-  if (spectrum.frequency.length === 1) return drawPhasors(view, spectrum, parts, colours);
+  // The range of a new row comes before its signals.
+  const known = Number.isFinite(scene.value(scene.main, ...state.cursor));
+  const missing = known ? "being estimated" : "not measured";
+  if (spectrum.frequency.length === 1) return drawPhasors(view, spectrum, parts, missing, colours);
   const all = parts.flatMap(([name]) => spectrum[name].amplitude).filter((value) => value > 0);
-  if (!all.length) return empty(view, "This pixel was not measured.", colours);
+  if (!all.length) return empty(view, `This pixel is ${missing}.`, colours);
   const frequency = spectrum.frequency.map((value) => value / 1e6);
   const [low, high] = [Math.log10(Math.min(...all)) - 0.15, Math.log10(Math.max(...all)) + 0.2];
   const margin = (frequency.at(-1) - frequency[0]) * 0.03;
@@ -516,9 +519,9 @@ function drawLine(ctx, { amplitude, uncertainty }, spots, toY, dash) {
   });
 }
 
-function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
+function drawPhasors({ ctx, width, height }, spectrum, parts, missing, colours) {
   const largest = Math.max(...parts.map(([name]) => spectrum[name].amplitude[0] || 0));
-  if (!(largest > 0)) return empty({ ctx, width, height }, "This pixel was not measured.", colours);
+  if (!(largest > 0)) return empty({ ctx, width, height }, `This pixel is ${missing}.`, colours);
   const size = Math.min(width - 122, height - 12) / 2;
   const [x0, y0] = [4 + size, height / 2];
   const scale = (size * 0.92) / largest;
@@ -533,10 +536,14 @@ function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
   const left = x0 + size + 10;
   parts.forEach(([name, text, colour, dash], k) => {
     const { amplitude, phase, uncertainty } = spectrum[name];
-    const added = name === "after" && spectrum.water;
-    const to = spot(added ? "before" : name);
-    arrow(ctx, added ? spot("water") : [x0, y0], to, colour, dash);
-    if (uncertainty) disc(ctx, to, Math.max(scale * uncertainty[0], 1), colour);
+    const measured = amplitude[0] !== null;
+    if (measured) {
+      // Water and target add up to the raw signal.
+      const added = name === "after" && spectrum.water && spectrum.before?.amplitude[0];
+      const to = spot(added ? "before" : name);
+      arrow(ctx, added ? spot("water") : [x0, y0], to, colour, dash);
+      if (uncertainty) disc(ctx, to, Math.max(scale * uncertainty[0], 1), colour);
+    }
     const y = 22 + k * 40;
     ctx.strokeStyle = colour;
     ctx.setLineDash(dash);
@@ -551,7 +558,8 @@ function drawPhasors({ ctx, width, height }, spectrum, parts, colours) {
     ctx.fillStyle = colours.soft;
     const { unit, factor } = scaled(largest, "V");
     const turn = ((phase[0] * 180) / Math.PI).toFixed(1).replace("-", "−");
-    ctx.fillText(`${(amplitude[0] * factor).toPrecision(3)} ${unit}, ${turn}°`, left, y + 17);
+    const value = `${(amplitude[0] * factor).toPrecision(3)} ${unit}, ${turn}°`;
+    ctx.fillText(measured ? value : missing, left, y + 17);
   });
   ctx.fillStyle = colours.soft;
   return ctx.fillText(`${(spectrum.frequency[0] / 1e6).toFixed(2)} MHz`, left, height - 14);
