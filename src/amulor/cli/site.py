@@ -261,7 +261,7 @@ def merge(
     if as_e57:
         io.check_output(output, overwrite=overwrite, inputs=[site, poses])
     with progress_bar(quiet=json) as advance:
-        merged = opened(site, poses)
+        merged = opened(site, poses, with_images=as_e57)
         advance(f"writing {output}", 0.8)
         points = _Counted(
             all_points(merged.cloud, merged.registration, merged.surfaces)
@@ -324,8 +324,8 @@ class _Counted:
             for number in np.unique(piece.scan[piece.moving]):
                 moving = piece.moving & (piece.scan == number)
                 self.moving[number] = self.moving.get(number, 0) + int(moving.sum())
-            # Of the many points of averaged scans a tenth suffices.
-            self._sigma.append(piece.sigma[:: 10 if piece.brightest else 1])
+            # Of the many points of averaged scans a hundredth suffices.
+            self._sigma.append(piece.sigma[:: 100 if piece.brightest else 1])
             yield piece
 
     @property
@@ -540,7 +540,7 @@ def report(
     places: tuple[Region, ...] = ()
     motions: Motions = {}
     with progress_bar() as advance:
-        merged = opened(site, poses)
+        merged = opened(site, poses, with_images=True)
         if epochs is not None:
             change, places, motions = changes_between(merged, epochs)
         advance("drawing", 0.9)
@@ -712,8 +712,11 @@ class Opened:
     cloud: Merged
 
 
-def opened(path: Path, poses: Path | None) -> Opened:
-    """Read a site and its registration, or register it, and merge its scans."""
+def opened(path: Path, poses: Path | None, *, with_images: bool = False) -> Opened:
+    """Read a site and its registration, or register it, and merge its scans.
+
+    Without the range images less memory is needed.
+    """
     from amulor import _progress
     from amulor.site.merging.cloud import merge
     from amulor.site.registration.register import surfaces_of
@@ -727,7 +730,7 @@ def opened(path: Path, poses: Path | None) -> Opened:
         site=site,
         registration=registration,
         surfaces=surfaces,
-        images=images,
+        images=images if with_images else {},
         cloud=cloud,
     )
 

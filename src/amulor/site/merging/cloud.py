@@ -182,11 +182,15 @@ def merge(
     derivatives J by pose and shared errors. Their covariance :math:`\Sigma` is that of
     the registration, which has estimated these errors from all scans.
     """
-    parts: dict[str, list[NDArray[np.generic]]] = {}
+    # Filled scan by scan, because parts need as much memory again as the columns.
+    columns: dict[str, Any] = {}
+    begin, total = 0, sum(int(surfaces[s.name].usable.sum()) for s in site.scan)
 
-    def keep(**values: NDArray[np.generic]) -> None:
+    def keep(**values: NDArray[Any]) -> None:
         for key, value in values.items():
-            parts.setdefault(key, []).append(value)
+            if key not in columns:
+                columns[key] = np.empty((total, *value.shape[1:]), value.dtype)
+            columns[key][begin : begin + len(value)] = value
 
     for number, scan in enumerate(site.scan):
         tell(f"placing {scan.name}", number / len(site.scan))
@@ -212,15 +216,14 @@ def merge(
             own=sigma,
             beam=beam,
             normal=pose.turn(surface.normal.reshape(-1, 3)[pixel]),
-            intensity=image["intensity"].values.ravel()[pixel],
+            intensity=image["intensity"].values.ravel()[pixel].astype(float),
             scan=np.full(len(pixel), number, dtype=np.int16),
             pixel=pixel,
             flag=image["quality_flag"].values.ravel()[pixel].astype(np.int16),
             confirmed=confirmed,
             moving=through > confirmed,
         )
-    # Parts are freed one by one, because they need as much memory as the columns.
-    columns = {key: np.concatenate(parts.pop(key)) for key in list(parts)}
+        begin += len(pixel)
     tell("weighing what several scans see", 0.9)
     share = _shares(
         site, columns["position"], columns["scan"], columns["own"], columns["moving"]
