@@ -28,6 +28,7 @@ from amulor.rejection.polarization import (
     stokes_vectors,
     unmix_stokes,
 )
+from amulor.rejection.polarization_difference import polarization_difference
 from amulor.rejection.range_profile import range_profile
 from amulor.rejection.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.reference.attach import with_open_water
@@ -62,6 +63,7 @@ __all__ = [
     "open_water",
     "phasor_lines",
     "polarization",
+    "polarization_difference",
     "range_profile",
     "reject",
     "split_scattering",

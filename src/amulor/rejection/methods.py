@@ -286,7 +286,7 @@ def names() -> tuple[str, ...]:
     --------
     >>> from amulor import rejection
     >>> [name for name in rejection.names() if "polar" in name]
-    ['co-polarized', 'cross-polarized', 'polarization']
+    ['co-polarized', 'cross-polarized', 'polarization', 'polarization-difference']
     """
     return _plugins.names(_plugins.REJECTION)
 
