@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -142,3 +144,34 @@ def test_a_beam_that_cannot_meet_the_window_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=text):
         rays.enter_water(start, vector, medium=DRY)
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.01, 0.5, 3.0, 30.0])
+@pytest.mark.parametrize("thickness", [0.001, 0.2])
+def test_the_way_back_follows_the_law_of_refraction_to_grazing(
+    aside: float, thickness: float
+) -> None:
+    medium = replace(DRY, window_thickness=thickness)
+    depths = (0.3, thickness, 0.7 - thickness)
+    indices, groups = (1.0, 1.47, 1.34), (1.0, 1.50, 1.38)
+
+    def legs(sine: float) -> list[tuple[float, float]]:
+        return [
+            (depth * sine / np.sqrt(index**2 - sine**2), index)
+            for depth, index in zip(depths, indices, strict=True)
+        ]
+
+    # The sine in air, by bisection of its distance from 1 on a scale of logarithms.
+    low, high = -40.0, 0.0
+    for _ in range(200):
+        middle = (low + high) / 2
+        covered = sum(way for way, _ in legs(1 - np.exp(middle)))
+        low, high = (middle, high) if covered > aside else (low, middle)
+    sine = 1 - np.exp((low + high) / 2)
+    expected = sum(
+        group * depth * index / np.sqrt(index**2 - sine**2)
+        for depth, index, group in zip(depths, indices, groups, strict=True)
+    )
+    found = rays.return_length([aside, 0.0, 1.0], [0.0, 0.0, 0.0], medium=medium)
+    # At 30 m beside 0.3 m of air, 1 - sine has ten digits.
+    assert_allclose(found, expected, rtol=1e-8)

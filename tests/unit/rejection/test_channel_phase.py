@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
+from scipy.stats import norm
 
 from amulor import rejection
 from amulor.cube import WaterResidualCause
@@ -109,3 +110,28 @@ def test_a_phase_that_the_column_can_cause_is_no_witness() -> None:
 
 def test_without_a_distance_the_column_and_the_phase_are_unknown() -> None:
     assert _phase_with_column(complex("nan")) is None
+
+
+@pytest.mark.parametrize(("frequencies", "channels"), [(1, 2), (3, 2), (1, 3), (2, 3)])
+def test_the_chance_counts_all_pairs_and_frequencies(
+    frequencies: int, channels: int
+) -> None:
+    shape = (frequencies, channels, 50)
+    turn = np.array([0.0, 0.01, 0.0])[:channels, None]
+    signal = np.exp(1j * turn) * np.ones(shape)
+    variance = np.full(shape, 1e-4)
+    result = quality.channel_phase(
+        signal,
+        Covariance(variance, variance, np.zeros(shape)),
+        Covariance(variance, variance, np.zeros(shape)),
+        column=np.zeros(shape, dtype=complex),
+        shown=np.ones(50, dtype=bool),
+    )
+    assert result is not None
+    assert_allclose(result.phase, 0.01)
+    # Both channels have 10 mrad in common to all pixels, and 10 mrad of their own.
+    error = np.sqrt(2) * 0.01 * np.hypot(1.0, 1.2533 / np.sqrt(50))
+    assert_allclose(result.significance, 0.01 / error, rtol=1e-6)
+    tests = frequencies * channels * (channels - 1) / 2
+    chance = 2 * tests * norm.sf(0.01 / error)
+    assert result.probability == pytest.approx(min(chance, 1.0))

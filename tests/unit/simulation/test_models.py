@@ -16,8 +16,10 @@ from amulor.simulation import (
     ClosureModel,
     DiffusionModel,
     SmallAngleModel,
+    measurement,
     simulate,
 )
+from amulor.simulation.measurement import Setting
 from amulor.survey import Survey, water_properties
 from amulor.survey.view import view
 from amulor.survey.waters.whole_function import whole_function_arguments
@@ -228,3 +230,26 @@ def test_the_command_refuses_what_the_model_cannot_use(
     error = capsys.readouterr().err
     assert "plate.toml: second_moment must be" in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "whole"),
+    [(4, 5, True), (5, 5, False), (20, 1, True), (21, 1, False)],
+)
+def test_a_model_is_fitted_to_all_pixels_of_a_small_scan(
+    plate: Survey, rows: int, columns: int, whole: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken = {}
+
+    def fitted(model: object, *_: object, end: np.ndarray, farthest: float) -> object:
+        taken.update(pixels=end.size, farthest=farthest)
+        return model
+
+    monkeypatch.setattr("amulor.simulation.lock_in.fitted", fitted)
+    monkeypatch.setattr("amulor.cube.tiles.SAMPLE", 20)
+    survey = plate.with_({"scan.rows": rows, "scan.columns": columns})
+    measurement.fit(Setting.of(survey, rng=1, model=SmallAngleModel()))
+    assert (taken["pixels"] == rows * columns) == whole
+    assert taken["pixels"] <= 20
+    # The plate is 1.5 m away; of a larger scan its farthest pixel is unknown.
+    assert (taken["farthest"] < 2.0) == whole

@@ -18,7 +18,7 @@ from amulor.site.description import SphereTarget
 from amulor.site.registration.align import Alignment, align
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.network import KnownPose, Ties
-from amulor.site.registration.pair import _bend, compared, on_grid
+from amulor.site.registration.pair import Pair, _bend, compared, on_grid
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register
 from amulor.site.registration.surface import ScanSurface, scan_surface, shared_errors
@@ -378,3 +378,52 @@ def test_a_point_is_found_on_the_grid_from_a_pixel_beside_it(
     assert found.pixel[0] == row * 40 + column
     np.testing.assert_allclose(found.off[0], 0.0, atol=1e-3)
     np.testing.assert_allclose(found.distance[0], 0.0, atol=1e-9)
+
+
+def test_distances_of_two_scans_change_as_their_derivatives_say() -> None:
+    # A ball 1 m wide, seen from two places without noise.
+    middle, radius = np.array([0.1, -0.1, 2.6]), 0.5
+    azimuth, elevation, unit = scanning.grid(40, 40, 0.09)
+    true = [
+        ScanPose(np.eye(3), np.zeros(3)),
+        ScanPose(
+            Rotation.from_rotvec([0.01, 0.03, -0.05]).as_matrix(),
+            np.array([-0.1, 0.05, 0.05]),
+        ),
+    ]
+    scans = []
+    for name, pose in zip("ab", true, strict=True):
+        ahead = pose.turn(unit)
+        along = ahead @ (middle - pose.position)
+        apart = np.sum((middle - pose.position) ** 2)
+        exact = along - np.sqrt(along**2 - apart + radius**2)
+        image = scanning.image(
+            exact, azimuth, elevation, errors=ERRORS, draw=None, scan=name,
+            instrument="i", water="w",
+        )  # fmt: skip
+        scans.append(surface(image, name))
+
+    def pair(first: ScanPose) -> Pair:
+        poses = first, true[1]
+        found = compared(scans[0], scans[1], poses, gate=0.1, errors={})
+        assert found is not None
+        return found
+
+    before = pair(true[0])
+    # Pixels are 4.6 mrad or 11 mm apart. A patch of seven is bent to second order.
+    assert np.abs(before.distance).max() < 1e-4
+    for part in range(6):
+        step = np.zeros(6)
+        step[part] = 2e-5
+        after = pair(true[0].changed(step))
+        _, here, there = np.intersect1d(
+            before.source_pixel, after.source_pixel, return_indices=True
+        )
+        assert len(here) > 300
+        change = after.distance[there] - before.distance[here]
+        # The pose turns about its position, the derivatives about the pivot.
+        moved = step.copy()
+        moved[:3] += np.cross(step[3:], before.pivot - true[0].position)
+        expected = before.by_target[here, :6] @ moved
+        # The patches of a curve lean by some percent.
+        np.testing.assert_allclose(change, expected, rtol=0.03, atol=1e-6)
