@@ -17,7 +17,15 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-__all__ = ["PROBE", "covering", "is_compiled", "parsed", "places", "probed"]
+__all__ = [
+    "PROBE",
+    "covering",
+    "is_compiled",
+    "parsed",
+    "places",
+    "probed",
+    "search_path",
+]
 
 #: The module that probes call; a plug-in of pytest that measures times, too.
 PROBE = '''"""Writes the tests that run the probes."""
@@ -161,6 +169,13 @@ def is_compiled(function: ast.AST) -> bool:
     return any("jit" in ast.unparse(decorator) for decorator in decorators)
 
 
+def search_path(copy: Path) -> str:
+    """Return a PYTHONPATH on which a copy of the package comes first."""
+    before = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    others = [place for place in before if place and place != str(copy)]
+    return os.pathsep.join([str(copy), *others])
+
+
 class _Probes(ast.NodeTransformer):
     def __init__(self, numbers: dict[tuple[int, int], list[int]]) -> None:
         self._numbers = numbers
@@ -226,7 +241,7 @@ def covering(
     answer = copy / "probes.txt"
     answer.touch()
     environment = os.environ | {
-        "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONPATH": search_path(copy), "PYTHONDONTWRITEBYTECODE": "1",
         "AMULOR_PROBES": str(answer),
     }  # fmt: skip
     environment.pop("PYTEST_CURRENT_TEST", None)

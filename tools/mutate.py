@@ -49,7 +49,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from covering import covering, parsed
+from covering import covering, parsed, search_path
 from scipy.stats import binomtest
 from switched import Trial, can_switch, place_of, switched, try_all
 
@@ -578,7 +578,10 @@ class Worker:
         os.chdir(ROOT)
         sys.dont_write_bytecode = True
         sys.path.insert(0, str(self._copy))
-        os.environ |= {"PYTHONPATH": str(self._copy), "PYTHONDONTWRITEBYTECODE": "1"}
+        os.environ |= {
+            "PYTHONPATH": search_path(self._copy),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
         watch = _Watch(budget, current)
         options = ["-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-m", marks]
         options += [f"--deselect={test}" for test in self._broken]

@@ -29,7 +29,7 @@ from pathlib import Path
 
 import pytest
 from _pytest.runner import runtestprotocol
-from covering import is_compiled, parsed
+from covering import is_compiled, parsed, search_path
 
 __all__ = ["SWITCH", "Trial", "can_switch", "place_of", "switched", "try_all"]
 
@@ -299,7 +299,7 @@ def try_all(
     os.chdir(root)
     sys.dont_write_bytecode = True
     sys.path.insert(0, str(copy))
-    os.environ |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+    os.environ |= {"PYTHONPATH": search_path(copy), "PYTHONDONTWRITEBYTECODE": "1"}
     __import__("amulor_switch")
     _keep_compiled(copy, root)
     files = dict.fromkeys(
