@@ -1,10 +1,12 @@
-"""Photon transport as a forward model: selected beams, interpolated to all others."""
+"""Photon transport as a forward model: simulated beams, and a fit to all others."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,18 +27,19 @@ from amulor.transport import (
     Progress,
     Source,
     Tally,
+    Technique,
     simulate,
 )
 
 __all__ = [
-    "Axis",
-    "Grid",
     "Light",
     "PhotonModel",
     "Place",
     "Setting",
+    "basis_of",
+    "chosen_beams",
+    "fitted_ratio",
     "follow",
-    "grid_of",
     "run",
     "way",
 ]
@@ -46,73 +49,94 @@ Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Axis:
-    """Interpolation nodes along a single quantity."""
+def basis_of(points: Floats, *, smallest: Floats, degree: Any) -> tuple[Floats, int]:
+    """Return orthonormal polynomials at the points, and the number of those to fit.
 
-    nodes: Floats
-
-    def weights(self, value: Floats) -> Floats:
-        """Return Lagrange weights of the nodes at given values, shape (n, nodes)."""
-        apart = self.nodes[:, None] - self.nodes
-        out = np.ones((value.size, self.nodes.size))
-        for i, j in itertools.permutations(range(self.nodes.size), 2):
-            out[:, i] *= (value - self.nodes[j]) / apart[i, j]
-        return out
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Interpolation grid: all combinations of the nodes of its axes."""
-
-    axes: tuple[Axis, ...]
-
-    @property
-    def places(self) -> Floats:
-        """Grid points, shape (places, axes)."""
-        nodes = np.meshgrid(*(axis.nodes for axis in self.axes), indexing="ij")
-        return np.stack([values.ravel() for values in nodes], axis=1)
-
-    def weights(self, points: Floats) -> Floats:
-        """Return interpolation weights of the grid points, shape (n, places) [1]."""
-        out = np.ones((len(points), 1))
-        for axis, values in zip(self.axes, points.T, strict=True):
-            part = axis.weights(np.ascontiguousarray(values))
-            out = (out[:, :, None] * part[:, None, :]).reshape(len(points), -1)
-        return out
-
-    def between(self, count: int) -> Floats:
-        """Return test points between the nodes, shape (count, axes)."""
-        places = []
-        for number in range(count):
-            place = []
-            for position, axis in enumerate(self.axes):
-                if axis.nodes.size == 1:
-                    place.append(axis.nodes[0])
-                    continue
-                # Halfway between two nodes, other nodes for each axis and number.
-                index = (number + position) % (axis.nodes.size - 1)
-                place.append((axis.nodes[index] + axis.nodes[index + 1]) / 2)
-            places.append(place)
-        return np.array(places)
+    Each axis has the stated degree at most, and a lower one if it spans little. The
+    polynomials that follow have one degree more; they test the fit.
+    """
+    span = np.ptp(points, axis=0)
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2
+    wide = span > smallest
+    unit = np.where(wide, 2 * (points - middle) / np.where(wide, span, 1.0), 0.0)
+    ratio = np.where(wide, span / smallest, 1.0)
+    most = np.minimum(np.ceil(np.log(ratio) / np.log(3)).astype(int), degree)
+    basis = np.empty((len(points), 0))
+    fitted = 0
+    for more in (0, 1):
+        limit = most + more * wide
+        values = [
+            np.polynomial.legendre.legvander(column, high)
+            for column, high in zip(unit.T, limit, strict=True)
+        ]
+        columns = [
+            np.prod([v[:, k] for v, k in zip(values, powers, strict=True)], axis=0)
+            for powers in itertools.product(*(range(high + 1) for high in limit))
+            if sum(powers) <= limit.max()
+        ]
+        new = np.stack(columns, axis=1)
+        new -= basis @ (basis.T @ new) / len(points)
+        left, size, _ = np.linalg.svd(new, full_matrices=False)
+        size /= math.sqrt(len(points))
+        basis = np.hstack([basis, left[:, size > _SMALL] * math.sqrt(len(points))])
+        fitted = fitted or basis.shape[1]
+    return basis, fitted
 
 
-def grid_of(
-    values: Floats, *, smallest: Floats, largest_count: NDArray[np.intp]
-) -> Grid:
-    """Return an interpolation grid that spans the given points."""
-    axes = []
-    for low, high, small, limit in zip(
-        values.min(axis=0), values.max(axis=0), smallest, largest_count, strict=True
-    ):
-        span = high - low
-        if span <= small:
-            axes.append(Axis(np.array([(low + high) / 2])))
-            continue
-        count = int(np.clip(1 + np.ceil(np.log(span / small) / np.log(3)), 2, limit))
-        turn = np.cos(np.pi * np.arange(count) / (count - 1))
-        axes.append(Axis((low + high) / 2 - span / 2 * turn))
-    return Grid(tuple(axes))
+def chosen_beams(basis: Floats, rng: np.random.Generator) -> Iterator[int]:
+    """Yield the beams to simulate: the least certain of a fit and a random one in turn.
+
+    The least certain has the largest variance of a fit to the beams so far.
+    """
+    candidates = rng.choice(len(basis), min(len(basis), _CANDIDATES), replace=False)
+    functions = basis[candidates]
+    information = 1e-3 * np.eye(basis.shape[1])
+    for number in itertools.count():
+        if number % 2 == 0:
+            solved = np.linalg.solve(information, functions.T)
+            selected = int(np.argmax(np.sum(functions.T * solved, axis=0)))
+        else:
+            selected = int(rng.integers(len(candidates)))
+        information += np.outer(functions[selected], functions[selected])
+        yield int(candidates[selected])
+
+
+def fitted_ratio(
+    basis: Floats, fitted: int, beams: list[int], ratio: Complex
+) -> tuple[Complex, Floats]:
+    """Return the fitted ratio at all beams and its standard error, (frequencies, n).
+
+    The ratio of the simulated beams has the shape (runs, frequencies). The covariance
+    of the coefficients follows from the residuals, each divided by one minus its
+    leverage, without the assumption of equal errors (HC3). The mean square of what the
+    polynomials of one degree more add, beyond its own noise, is added to all variances.
+    """
+    everything = basis[beams]
+    functions = everything[:, :fitted]
+    inverse = np.linalg.pinv(functions)
+    leverage = np.sum(functions * inverse.T, axis=1)
+    coefficient = inverse @ ratio
+    residual = (ratio - functions @ coefficient) / (1 - leverage)[:, None]
+    value = (basis[:, :fitted] @ coefficient).T
+    spread = inverse[:, :, None] * abs(residual)
+    covariance = np.einsum("irf,jrf->fij", spread, spread)
+    variance = np.einsum(
+        "ni,fij,nj->fn",
+        basis[:, :fitted],
+        covariance,
+        basis[:, :fitted],
+        optimize=True,
+    )
+    whole = np.linalg.pinv(everything)
+    more = whole @ ratio
+    noise = ratio - everything @ more
+    freedom = len(beams) - everything.shape[1]
+    mean_square = np.sum(abs(noise) ** 2, axis=0) / freedom
+    added = np.sum(abs(more[:fitted] - coefficient) ** 2, axis=0)
+    added += np.sum(abs(more[fitted:]) ** 2, axis=0)
+    expected = mean_square * (np.sum(whole**2) - np.sum(inverse**2))
+    missing = np.maximum(added - expected, 0.0)
+    return value, np.sqrt(variance + missing[:, None])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,44 +183,28 @@ class Setting:
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """Ratio of received to launched power at each frequency, with standard error."""
+    """Ratio of received to launched power at each frequency."""
 
     water: Complex
     """Ratio of received to launched power, scattered by water only, shape (n,) [1]."""
-    water_error: Floats
-    """Standard error of `water`, real and imaginary part combined [1]."""
     target: Complex
     """Ratio of received to launched power, reflected by the target, shape (n,) [1]."""
-    target_error: Floats
-    """Standard error of `target`, real and imaginary part combined [1]."""
 
 
 def follow(
-    setting: Setting,
-    place: Place,
-    frequency: Floats,
-    *,
-    relative_error: float,
-    histories: int,
-    seed: int,
-    progress: Callable[[Progress], None] | None = None,
+    setting: Setting, place: Place, frequency: Floats, *, histories: int, seed: int
 ) -> Light:
-    """Simulate photons of one beam, and return the received light."""
+    """Simulate photons of one beam in a single batch, and return the received light."""
     tally = run(
         setting,
         place,
         frequency,
-        relative_error=relative_error,
         histories=histories,
         seed=seed,
-        progress=progress,
+        technique=Technique(batch=histories),
+        threads=1,
     )
-    return Light(
-        water=tally.water_signal,
-        water_error=_error(tally.water_covariance),
-        target=tally.target_signal,
-        target_error=_error(tally.target_covariance),
-    )
+    return Light(water=tally.water_signal, target=tally.target_signal)
 
 
 def run(
@@ -204,9 +212,11 @@ def run(
     place: Place,
     frequency: Floats,
     *,
-    relative_error: float,
     histories: int,
     seed: int,
+    relative_error: float | None = None,
+    technique: Technique | None = None,
+    threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Tally:
     """Simulate photons of one beam, and return the tally."""
@@ -252,6 +262,8 @@ def run(
         seed=seed,
         target=target,
         relative_error=relative_error,
+        technique=technique,
+        threads=threads,
         progress=progress,
     )
     if tally.interrupted:
@@ -275,48 +287,27 @@ def way(place: Place) -> float:
     return place.depth + float(return_length) - place.standoff
 
 
-def _error(covariance: Floats) -> Floats:
-    """Return the standard error, root sum of squares of real and imaginary part."""
-    return np.asarray(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)))
-
-
-#: Range of baseline [m], tilt [rad], squared cross tilt [rad^2] and depth [m] that
-#: needs a single node only, and the most nodes of each.
+#: Ranges of baseline [m], tilt [rad], squared cross tilt [rad^2] and depth [m] with a
+#: constant ratio, and the highest degrees of the polynomials beyond.
 _LEAST = np.array([2e-3, 2e-3, 1e-4, 0.01])
-_MOST = np.array([2, 3, 2, 4])
-#: Places between the nodes, for the error of the interpolation.
-_CHECKS = 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class Factor:
-    """Ratio of photon-transport light to small-angle light, interpolated over beams."""
-
-    grid: Grid
-    """Beams of photon transport: baseline, tilt, squared cross tilt, depth."""
-    value: Complex
-    """Ratio at each frequency and grid point, shape (frequencies, places) [1]."""
-    error: Floats
-    """Standard error of each ratio [1]."""
-    between: Floats
-    """Standard error of the interpolation, shape (frequencies,) [1]."""
-
-    def at(self, points: Floats) -> tuple[Complex, Floats]:
-        """Return the ratio for beams and its standard error, shape (frequencies, n)."""
-        weight = self.grid.weights(points)
-        variance = (self.error**2) @ (weight**2).T
-        return self.value @ weight.T, np.sqrt(variance + self.between[:, None] ** 2)
+_DEGREE = np.array([1, 2, 1, 3])
+#: Root mean square over the beams below which a polynomial is left out.
+_SMALL = 0.02
+#: Most beams that are considered for a run.
+_CANDIDATES = 2048
+#: Runs of one beam with as many photons as `histories`, and fewest photons in a run.
+_RUNS, _FEWEST = 64, 16384
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhotonModel:
     """Photon transport with all orders of scattering: slow reference model.
 
-    Photons are simulated for a few beams and depths of the survey. For all others the
-    ratio of their light to that of the small-angle model, eq. (29), is interpolated.
-    This ratio is a smooth function near 1. It includes late echoes and light scattered
-    twice by large angles. The errors of photon transport and of the interpolation,
-    tested between the nodes, are part of the samples' uncertainty.
+    Photons are simulated for some beams of the survey, chosen as the runs go on. A
+    polynomial is fitted to the ratio of their light to that of the small-angle model,
+    eq. (29), and used for all beams. This ratio is a smooth function near 1. It
+    includes late echoes and light scattered twice by large angles. The error of the fit
+    is part of the samples' uncertainty. Neighboring beams have nearly the same error.
 
     Examples
     --------
@@ -327,10 +318,11 @@ class PhotonModel:
     """
 
     relative_error: float = 0.005
-    """Required relative standard error of a beam's unmodulated received light [1]."""
+    """Required relative standard error of the unmodulated received light, root mean
+    square over the beams [1]."""
     histories: int = 2_000_000
-    """Largest number of photons for one beam; the error is first tested after an eighth
-    of them."""
+    """Largest number of photons for each coefficient of the fit; the error is first
+    tested after an eighth of them."""
     seed: int = 1
     """Seed of the photons' random numbers."""
     progress: Callable[[str, float], None] | None = field(
@@ -388,7 +380,7 @@ class PhotonModel:
             factor = self._factor(
                 survey, water, view, points, frequency, float(reflectance), "target"
             )
-            _apply(factor.at(points), selected, value, error)
+            _apply(factor, selected, value, error)
         return value, error
 
     def column(
@@ -440,8 +432,7 @@ class PhotonModel:
                 factor = self._factor(
                     survey, water, view, points, frequency, reflectance, "water"
                 )
-                places = points[:, : len(factor.grid.axes)]
-                _apply(factor.at(places), selected, value, error)
+                _apply(factor, selected, value, error)
         return value, error
 
     # --------------------------------------------------------------- the photons
@@ -455,91 +446,114 @@ class PhotonModel:
         frequency: Floats,
         reflectance: float,
         light: str,
-    ) -> Factor:
-        """Return the interpolated ratio of photon-transport to small-angle light."""
+    ) -> tuple[Complex, Floats]:
+        """Return the ratio of photon-transport to small-angle light, and its error."""
         setting = _setting(survey, water, view)
         standoff = float(view.standoff.flat[0])
         bounded = bool(np.isfinite(points[:, 3]).all())
         axes = 4 if bounded else 3
-        grid = grid_of(
-            points[:, :axes], smallest=_LEAST[:axes], largest_count=_MOST[:axes]
+        basis, fitted = basis_of(
+            points[:, :axes], smallest=_LEAST[:axes], degree=_DEGREE[:axes]
         )
-        spots = np.concatenate([grid.places, grid.between(_CHECKS)])
-        ratios, errors = [], []
-        for number, spot in enumerate(spots):
-            place = Place(
-                baseline=float(spot[0]),
-                tilt=float(spot[1]),
-                cross_tilt=math.sqrt(max(float(spot[2]), 0.0)),
-                standoff=standoff,
-                depth=float(spot[3]) if bounded else math.inf,
-                reflectance=reflectance,
-            )
-            result = self._followed(setting, place, frequency, (number, len(spots)))
-            expected = _small_angle(survey, water, view, place, frequency, light)
-            simulated, standard_error = (
-                (result.water, result.water_error)
-                if light == "water"
-                else (result.target, result.target_error)
-            )
-            # Water without light by small angles stays dark.
-            lit = expected != 0
-            safe = np.where(lit, expected, 1.0)
-            ratios.append(np.where(lit, simulated / safe, 1.0))
-            errors.append(np.where(lit, standard_error / abs(safe), 0.0))
-        nodes = len(grid.places)
-        value, error = np.array(ratios).T, np.array(errors).T
-        factor = Factor(
-            grid=grid,
-            value=value[:, :nodes],
-            error=error[:, :nodes],
-            between=np.zeros(len(frequency)),
+        photons = 8 * (max(self.histories // _RUNS, _FEWEST) // 8)
+        least = max(_RUNS // 8, 3 * basis.shape[1])
+        most = max(least, math.ceil(fitted * self.histories / photons))
+        order = chosen_beams(basis, np.random.default_rng(self.seed))
+        beams: list[int] = []
+        lights: list[list[Complex]] = []
+        wanted, error = least, math.inf
+        while error > self.relative_error and len(beams) < most:
+            new = list(itertools.islice(order, wanted - len(beams)))
+            places = [
+                Place(
+                    baseline=float(points[beam, 0]),
+                    tilt=float(points[beam, 1]),
+                    cross_tilt=math.sqrt(max(float(points[beam, 2]), 0.0)),
+                    standoff=standoff,
+                    depth=float(points[beam, 3]) if bounded else math.inf,
+                    reflectance=reflectance,
+                )
+                for beam in new
+            ]
+            runs = self._followed(setting, places, frequency, photons, len(beams))
+            for place, run in zip(places, runs, strict=True):
+                lights.append(
+                    [
+                        run.water,
+                        run.target,
+                        _small_angle(survey, water, view, place, frequency, "water"),
+                        _small_angle(survey, water, view, place, frequency, "target")
+                        if reflectance > 0
+                        else np.zeros_like(run.water),
+                    ]
+                )
+            beams += new
+            columns = np.moveaxis(np.array(lights), 1, 0)
+            water_light, echo, model_water, model_echo = columns
+            whole = _ratio(water_light + echo, model_water + model_echo)
+            _, errors = fitted_ratio(basis, fitted, beams, whole[:, :1])
+            doubt = 1 / math.sqrt(2 * (len(beams) - fitted))
+            error = float(np.sqrt(np.mean(errors**2))) * (1 + doubt)
+            wanted = min(most, math.ceil(len(beams) * math.sqrt(2)))
+        ratio = (
+            _ratio(water_light, model_water)
+            if light == "water"
+            else _ratio(echo, model_echo)
         )
-        guess, guess_error = factor.at(spots[nodes:])
-        # The error of the interpolation is the excess over the errors of the photons.
-        miss = (
-            abs(guess - value[:, nodes:]) ** 2 - guess_error**2 - error[:, nodes:] ** 2
-        )
-        between = np.sqrt(np.maximum(miss.mean(axis=1), 0.0))
-        return Factor(
-            grid=grid, value=factor.value, error=factor.error, between=between
-        )
+        return fitted_ratio(basis, fitted, beams, ratio)
 
     def _followed(
         self,
         setting: Setting,
-        place: Place,
+        places: list[Place],
         frequency: Floats,
-        count: tuple[int, int],
-    ) -> Light:
-        """Return the light of one beam, simulated at the first call and cached."""
-        key = (setting, place, tuple(frequency))
-        if key not in self._known:
-            self._known[key] = follow(
-                setting,
-                place,
-                frequency,
-                relative_error=self.relative_error,
-                histories=self.histories,
-                seed=self.seed + 1000 * len(self._known),
-                progress=self._reported(count),
-            )
-        light: Light = self._known[key]
-        return light
+        histories: int,
+        before: int,
+    ) -> list[Light]:
+        """Return the light of beams, simulated in parallel at the first call, cached.
 
-    def _reported(self, count: tuple[int, int]) -> Callable[[Progress], None]:
-        """Return a progress callback for the photons of one of several beams."""
+        The number of runs before is part of the key, as each is a new one.
+        """
+        keys = [
+            (setting, place, tuple(frequency), before + number)
+            for number, place in enumerate(places)
+        ]
         tell = _progress.tell if self.progress is None else self.progress
-        number, places = count
+        missing = [key for key in keys if key not in self._known]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            runs = [
+                pool.submit(
+                    follow,
+                    setting,
+                    key[1],
+                    frequency,
+                    histories=histories,
+                    seed=self.seed + 1000 * (len(self._known) + number),
+                )
+                for number, key in enumerate(missing)
+            ]
+            try:
+                results = []
+                for number, run in enumerate(runs):
+                    results.append(run.result())
+                    tell(
+                        f"photons, beam {before + number + 1}",
+                        (number + 1) / len(runs),
+                    )
+            finally:
+                for run in runs:
+                    run.cancel()
+        self._known.update(zip(missing, results, strict=True))
+        return [self._known[key] for key in keys]
 
-        def report(state: Progress) -> None:
-            part = min(1.0, (self.relative_error / state.relative_error) ** 2)
-            tell(
-                f"photons, place {number + 1} of {places}, {state.histories:,}",
-                (number + part) / places,
-            )
 
-        return report
+def _ratio(simulated: Complex, expected: Complex) -> Complex:
+    """Return a ratio of light; 1 where the small-angle model has none."""
+    # Water without light by small angles stays dark.
+    lit = expected != 0
+    result: Complex = np.ones_like(simulated)
+    np.divide(simulated, expected, out=result, where=lit)
+    return result
 
 
 def _apply(

@@ -89,6 +89,13 @@ class Technique:
     """Whether first flights and directions in a group are stratified."""
     balanced: bool = True
     """Whether pairs are weighted by the balance heuristic; else equally."""
+    batch: int | None = None
+    """Number of histories in a batch, a multiple of `paths`; by default a 128th of the
+    run, and at most 65,536.
+
+    Light of a target is joined within a batch, so a short run of one batch has the
+    smaller variance, and no error.
+    """
     direct: bool | None = None
     """Whether the last path to the receiver is a local estimate; by default for
     acceptances up to 0.35 rad.
@@ -98,13 +105,25 @@ class Technique:
 
     def __post_init__(self) -> None:
         """Raise a ValueError unless numbers are whole and at least 1."""
-        names = ("paths", "partners", "reflections", "roulette", "scattering_orders")
+        names = (
+            "paths",
+            "partners",
+            "reflections",
+            "roulette",
+            "batch",
+            "scattering_orders",
+        )
         for name in names:
             value = getattr(self, name)
-            if name == "roulette" and value is None:
+            if name in ("roulette", "batch") and value is None:
                 continue
             if value < 1 or value != int(value):
                 raise ValueError(f"{name} must be a whole number from 1, got {value!r}")
+        if self.batch is not None and self.batch % self.paths:
+            raise ValueError(
+                f"batch must be a multiple of the {self.paths} paths of a group, got "
+                f"{self.batch!r}"
+            )
 
 
 def simulate(
@@ -249,6 +268,8 @@ def simulate(
 
 def _batch_size(histories: int, technique: Technique) -> int:
     """Return the number of histories in a batch, a multiple of the group size."""
+    if technique.batch is not None:
+        return technique.batch
     groups = math.ceil(histories / _BATCHES / technique.paths)
     most = max(1, _LARGEST_BATCH // technique.paths)
     return min(groups, most) * technique.paths

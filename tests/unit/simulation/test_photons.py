@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from numpy.testing import assert_allclose
 
 from amulor import transport
 from amulor.cli import main
@@ -99,15 +98,14 @@ def test_drawn_pixels_are_those_of_photons_followed_directly(plate: Survey) -> N
 
 
 def _stand_in(water_part: complex, echo_part: complex):
-    """Return a stand-in for `follow` that finds parts of the small-angle form."""
+    """Return a stand-in for `follow` that finds noisy parts of the small-angle form."""
 
-    def follow(setting, place, frequency, **_):
+    def follow(setting, place, frequency, *, seed, **_):
+        draw = np.random.default_rng(seed).normal(size=2)
         size = len(frequency)
         return Light(
-            water=np.full(size, water_part),
-            water_error=np.full(size, 0.01),
-            target=np.full(size, echo_part),
-            target_error=np.full(size, 0.02),
+            water=np.full(size, water_part + 0.01 * draw[0]),
+            target=np.full(size, echo_part + 0.02 * draw[1]),
         )
 
     return follow
@@ -124,22 +122,23 @@ def test_the_ratio_and_its_error_reach_the_cube(
     monkeypatch.setattr(
         photons, "_small_angle", lambda *a, **k: np.ones(1 + len(FREQUENCIES), complex)
     )
-    cube = simulate(survey, rng=1, model=PhotonModel())
+    cube = simulate(survey, rng=1, model=PhotonModel(relative_error=0.001))
     plain = simulate(survey, rng=1, model=SmallAngleModel())
     lights = {}
     for name, part in (("target", 0.9), ("water", 0.97)):
         lights[name], whole = (_truth(each, name) for each in (cube, plain))
-        assert_allclose(lights[name], part * whole, rtol=1e-9)
+        # Runs of 1 and 2 % noise come to 0.1 %, root mean square over the beams.
+        miss = np.sqrt(np.mean(abs(lights[name] / whole - part) ** 2))
+        assert miss < 3 * 0.001
     assert "photon" in cube.attrs["source"]
     assert cube.attrs["late_echo"] == "present"
     assert plain.attrs["late_echo"] == "absent"
-    # Errors of 1 and 2 % of one place at most, half of the variance in each output.
-    own = cube["in_phase_uncertainty"].values ** 2
-    own = own - plain["in_phase_uncertainty"].values ** 2
-    most = (abs(lights["water"]) * 0.01 / 0.97) ** 2
-    most = (most + (abs(lights["target"]) * 0.02 / 0.9) ** 2) / 2
-    assert np.all(own < 2.2 * most)
-    assert np.all(own > 0.1 * most)
+    # The error is part of the uncertainty, half of the variance in each output.
+    extra = cube["in_phase_uncertainty"].values ** 2
+    extra = extra - plain["in_phase_uncertainty"].values ** 2
+    light = abs(lights["water"]) ** 2 + abs(lights["target"]) ** 2
+    assert np.mean(extra) < 9 * np.mean(light) * 0.001**2 / 2
+    assert np.mean(extra) > 0.1 * np.mean(light) * 0.001**2 / 2
 
 
 def _truth(cube: xr.Dataset, name: str) -> np.ndarray:
@@ -147,23 +146,27 @@ def _truth(cube: xr.Dataset, name: str) -> np.ndarray:
     return (truth[f"{name}_in_phase"] + 1j * truth[f"{name}_quadrature"]).values
 
 
-def test_a_place_is_followed_once_for_echo_and_water(
+def test_a_run_serves_echo_and_water(
     plate: Survey, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     survey = plate.with_({**WHOLE, "scan.open_water": None})
-    seen = []
+    seeds, places = [], []
     stand_in = _stand_in(1 + 0j, 1 + 0j)
 
-    def follow(setting, place, frequency, **options):
-        seen.append(place)
-        return stand_in(setting, place, frequency)
+    def follow(setting, place, frequency, *, seed, **options):
+        seeds.append(seed)
+        places.append(place)
+        return stand_in(setting, place, frequency, seed=seed, **options)
 
     monkeypatch.setattr(photons, "follow", follow)
-    simulate(survey, rng=1, model=PhotonModel())
-    assert len(seen) == len(set(seen))
-    # All of them look at the plate: one grid serves both.
-    assert all(place.reflectance == 0.1 for place in seen)
-    assert len(seen) < 30
+    monkeypatch.setattr(
+        photons, "_small_angle", lambda *a, **k: np.ones(1 + len(FREQUENCIES), complex)
+    )
+    simulate(survey, rng=1, model=PhotonModel(relative_error=0.5))
+    assert len(seeds) == len(set(seeds))
+    # All of them look at the plate: one set of runs serves both.
+    assert all(place.reflectance == 0.1 for place in places)
+    assert len(places) < 60
 
 
 def test_ctrl_c_leaves_nothing_behind(

@@ -280,6 +280,10 @@ REFUSED = {
     "a single frequency": (lambda: run(frequency=5e6), r"got the shape \(\)"),
     "no frequencies": (lambda: run(frequency=[]), r"got the shape \(0,\)"),
     "a group of no paths": (lambda: Technique(paths=0), "paths .*number from 1, got 0"),
+    "a batch of parts of groups": (
+        lambda: Technique(batch=100),
+        "batch must be a multiple of the 8 paths of a group, got 100",
+    ),
     "no orders": (
         lambda: Technique(scattering_orders=0),
         "scattering_orders .*number from 1, got 0",

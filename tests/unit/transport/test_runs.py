@@ -545,3 +545,11 @@ def test_the_uncompiled_slab_gives_the_same_record(monkeypatch):
         np.testing.assert_allclose(
             getattr(plain, name), getattr(compiled, name), rtol=1e-9, atol=1e-13
         )
+
+
+def test_a_technique_sets_the_histories_of_a_batch(peaked_water):
+    tally = simulate(
+        peaked_water, Source(), DISC, [0.0], histories=64, seed=1,
+        technique=Technique(batch=32),
+    )  # fmt: skip
+    assert tally.histories_of.tolist() == [32, 32]
