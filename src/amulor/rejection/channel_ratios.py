@@ -31,6 +31,8 @@ _LARGEST_LOSS = 10.0
 _PARTS = 8
 #: Differences of neighbors over their noise, from which they are significant [1].
 _SIGNIFICANT = 20.0
+#: Part of a difference across the echo over that along it, as of a change of distance.
+_STEEP = 0.3
 #: Smallest variance [1].
 _TINY = 1e-12
 
@@ -206,8 +208,13 @@ def fit_ratio(
     path: tuple[float, float],
     prior: Prior,
     target: TargetRatio,
+    patch: NDArray[np.intp],
 ) -> RatioFit:
-    """Fit the water ratio at which the differences of all pixels are single echoes."""
+    """Fit the water ratio at which the differences of all pixels are single echoes.
+
+    `patch` is the number of the patch of each pixel. Departures that pixels of a patch
+    share enlarge the errors of the ratios.
+    """
     gain = np.ones(frequency.size, dtype=complex)
     expected = prior.water
     if expected is None:
@@ -233,7 +240,7 @@ def fit_ratio(
             [target.real, target.imaginary],
         ]
     )
-    state, scale = middle.copy(), 1.0
+    state, scale, together = middle.copy(), 1.0, 1.0
     kept = np.ones(len(pair.co), dtype=bool)
     count = frequency.size
     covariance = np.eye(middle.size)
@@ -262,15 +269,19 @@ def fit_ratio(
             1j * echo.model,
             np.stack([plain, 1j * ramp * plain], axis=2),
         )
-        normal, slope = _normal(effects, echo, rest, variance, wave)
-        normal, slope = normal / scale, slope / scale
-        covariance = np.linalg.inv(normal + precision)
+        normal, slopes = _normal(effects, echo, rest, variance, wave, patch[kept])
+        inflation = scale * together
+        covariance = np.linalg.inv(normal / inflation + precision)
+        slope = slopes.sum(axis=0) / inflation
         state = state + covariance @ (slope + precision @ (middle - state))
         freedom = 2 * count - 2
         misfit = misfit_of(pair, water, wave, path, contrast, unsteady) / freedom
         if step >= 3:
             scale = max(1.0, float(np.median(misfit)))
             kept = misfit < 9 * scale
+            scattered = np.einsum("gi,ij,gj->", slopes, covariance, slopes)
+            expected_scatter = scale * np.sum(normal * covariance)
+            together = max(1.0, float(scattered / expected_scatter))
     chosen = [*range(2 * count), -2, -1]
     return RatioFit(
         water=state[:count] + 1j * state[count : 2 * count],
@@ -310,11 +321,15 @@ def _normal(
     rest: Complex,
     variance: Floats,
     wave: Floats,
+    patch: NDArray[np.intp],
 ) -> tuple[Floats, Floats]:
-    """Return normal equations of ratios and gains, amplitude and path eliminated."""
+    """Return normal equations of ratios and gains, amplitude and path eliminated.
+
+    Their right sides are those of each patch.
+    """
     count = wave.size
     size = 4 * count + 2
-    normal, slope = np.zeros((size, size)), np.zeros(size)
+    normal, slopes = np.zeros((size, size)), np.zeros((patch.max() + 1, size))
     for first in range(0, len(rest), MOST_PIXELS):
         part = slice(first, first + MOST_PIXELS)
         error = np.sqrt(variance[part])
@@ -334,17 +349,20 @@ def _normal(
         across = real[1] - basis @ (basis.transpose(0, 2, 1) @ real[1])
         flat = across.reshape(-1, size)
         normal += flat.T @ flat
-        slope += flat.T @ real[2].reshape(-1)
-    return normal, slope
+        each_slope = (across * real[2]).sum(axis=1)
+        np.add.at(slopes, patch[part], each_slope)
+    return normal, slopes
 
 
 def target_ratio_of_neighbors(
-    first: Observation, second: Observation
+    first: Observation, second: Observation, *, fluctuation: float = 0.0
 ) -> TargetRatio | None:
     """Return the target ratio by second differences along rows.
 
     Neighbors have nearly the same water signal, so that differences show the target
-    alone. None if reflectance and distance do not vary enough.
+    alone. Where the distance changes, the water in front of the target does, too. None
+    if the reflectance does not vary enough, compared with the noise and the relative
+    fluctuation of the water signal.
     """
     if first.signal.shape[3] < 3:
         return None
@@ -361,8 +379,17 @@ def target_ratio_of_neighbors(
     ]
     usable = first.usable[:, 0] & second.usable[:, 0]
     three = (usable[..., 2:] & usable[..., 1:-1] & usable[..., :-2]).all(axis=0)
+    # A difference in phase with the echo is one of reflectance.
+    top = int(first.frequency.argmax())
+    middle = curved(second.signal[:, 0], 1.0)[top]
+    turned = co[top] * np.exp(-1j * np.angle(middle))
+    noise = np.sqrt(variances[0][top])
+    steady = np.abs(turned.imag) < np.maximum(_STEEP * np.abs(turned.real), 2 * noise)
+    three = three & steady
     co, cross = co[:, three], cross[:, three]
     of_co, of_cross = (values[:, three] for values in variances)
+    usual = np.nanmedian(np.abs(first.signal[:, 0]), axis=(1, 2))
+    changes = of_co + 6 * (fluctuation * usual[:, None]) ** 2
     parts = np.arange(co.shape[1]) * _PARTS // max(co.shape[1], 1)
     if np.unique(parts).size < _PARTS:
         return None
@@ -376,7 +403,7 @@ def target_ratio_of_neighbors(
             for values in (tops, bottoms)
         )
         total = float(bottom.sum())
-        chance = float(np.sum(weight**2 * of_co**2)) ** 0.5
+        chance = float(np.sum((weight * changes) ** 2)) ** 0.5
         if total < _SIGNIFICANT * chance:
             return None
         ratio = float(top.real.sum()) / total

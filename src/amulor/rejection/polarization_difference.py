@@ -48,6 +48,8 @@ _FREE = 1.0
 _ECHO_LATER = 0.02e-9
 #: Difference of stated and measured ratio in standard uncertainties: a contradiction.
 _CONTRADICTION = 4.0
+#: Patches along rows and along columns.
+_PATCHES = 4
 #: Fewest pixels for an estimate.
 _FEWEST = 12
 #: Smallest difference of the ratios of target and water [1].
@@ -55,16 +57,20 @@ _CONTRAST = 1e-3
 
 
 def _target_ratio(
-    first: Observation, second: Observation, stated: float | None, uncertainty: float
+    first: Observation,
+    second: Observation,
+    stated: float | None,
+    uncertainty: float,
+    fluctuation: float,
 ) -> TargetRatio:
     """Return the stated ratio of the targets with its test, or that of neighbors."""
-    estimate = target_ratio_of_neighbors(first, second)
+    estimate = target_ratio_of_neighbors(first, second, fluctuation=fluctuation)
     if stated is None:
         if estimate is None:
             raise CubeError(
-                "neighboring pixels do not differ in reflectance or distance, so the "
-                "depolarization ratio of the target is not known; state target_ratio "
-                "and target_ratio_uncertainty, measured on a sample of the target"
+                "neighboring pixels of one distance do not differ in reflectance, so "
+                "the depolarization ratio of the target is not known; state "
+                "target_ratio and target_ratio_uncertainty, measured on a sample of it"
             )
         return estimate
     # The crossed echo is later than the parallel one by a part of the delay of water.
@@ -237,21 +243,29 @@ def _difference(
                 f"frequencies, needed are {_FEWEST} to estimate the ratio of the water"
             )
         chosen = chosen[:: -(-chosen.size // MOST_PIXELS)]
+        prior = _water_prior(
+            first,
+            second,
+            water_ratio,
+            water_ratio_uncertainty,
+            water_fluctuation,
+            spread=ratio_spread,
+            gain=model_error,
+        )
         fit = fit_ratio(
             pair.part(chosen),
             wave,
             scan.frequency,
             path,
-            _water_prior(
+            prior,
+            _target_ratio(
                 first,
                 second,
-                water_ratio,
-                water_ratio_uncertainty,
-                water_fluctuation,
-                spread=ratio_spread,
-                gain=model_error,
+                target_ratio,
+                target_ratio_uncertainty,
+                prior.fluctuation,
             ),
-            _target_ratio(first, second, target_ratio, target_ratio_uncertainty),
+            _patches(chosen, first.signal.shape[2:]),
         )
         _check_contrast(fit)
     a, b = first.signal, second.signal
@@ -301,6 +315,16 @@ def _difference(
     if fit.target.contradicted:
         cause[:] = WaterResidualCause.MODEL_MISFIT
     return quality.add_water_residual(result, cause), replace(fit, terms=tuple(terms))
+
+
+def _patches(chosen: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Return the number of the patch of each pixel; 4 x 4 patches cover the scan."""
+    row, column = np.divmod(chosen, shape[1])
+    across, down = (
+        place * _PATCHES // size
+        for place, size in ((column, shape[1]), (row, shape[0]))
+    )
+    return np.asarray(down * _PATCHES + across)
 
 
 def _check_contrast(fit: RatioFit) -> None:
