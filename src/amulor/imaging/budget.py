@@ -373,19 +373,21 @@ def instrument_term(
 
     Leakage, walk and harmonics turn each frequency by an angle of its own, of the
     stated or typical size, and by as much as channels or frequencies differ where
-    chance does not explain that. Unmixing multiplies the former. The error of a
-    measured leakage turns weak echoes most. A drift during the scan turns all
-    frequencies the same way.
+    chance does not explain that. If the frequencies differ, the turns of all add up
+    with one sign. Unmixing multiplies the former. The error of a measured leakage turns
+    weak echoes most. A drift during the scan turns all frequencies the same way.
     """
     channel = observation.channel
     remaining = by_frequency(channel, "instrument_drift_uncertainty_s", 0.0)
     warmer = by_frequency(channel, "temperature_delay_uncertainty_s", 0.0)
     drift = speed_of_light * np.hypot(weight @ remaining, weight @ warmer)
     phases = instrument_phase(channel, observation.survey)
-    if observation.frequency_phase is not None:
-        phases = with_deviations(phases, observation.frequency_phase)
-    per_phase = weight * observation.path_per_phase.ravel()
+    per_phase = np.abs(weight * observation.path_per_phase.ravel())
     path = np.linalg.norm(per_phase * phases)
+    if observation.frequency_phase is not None:
+        # Leakage, other water and most errors of a demodulator turn many frequencies
+        # the same way: they do not average out.
+        path = per_phase @ with_deviations(phases, observation.frequency_phase)
     leakage = leakage_volt(channel)
     if np.any(leakage > 0):
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -156,6 +156,16 @@ def test_frequencies_that_contradict_each_other_widen_the_range_error() -> None:
     assert "slant_range_uncertainty_instrument" not in agreeing
 
 
+def test_errors_that_turn_all_frequencies_the_same_way_do_not_average_out() -> None:
+    # Phases by other water before the target: of one sign, and large at the
+    # frequencies that determine the range.
+    turn = np.array([0.0, 0.008, 0.022, 0.018])
+    image = _image(turn, noise=0.01)
+    error = float(image["slant_range"].median()) - 1.2
+    stated = float(image["slant_range_uncertainty_instrument"].median())
+    assert abs(error) < 1.96 * stated
+
+
 def test_a_phase_in_proportion_to_the_frequency_is_a_delay_between_channels() -> None:
     attributes = {
         "channel_phase_probability": 1e-9,
