@@ -243,6 +243,9 @@ def _with_mixed(
     """Ranges with mixed beams flagged by their amplitudes, and the fit of the scan."""
     if fitted and fit is None:
         return ranges, None
+    # Amplitudes of phasor lines are those of the samples, with the water.
+    if "phasor_line_window" in observation.channel.attrs:
+        return ranges, None
     per_range = ranging.phase_per_range(
         observation.frequency, group_index=observation.geometry.medium.group_index
     )

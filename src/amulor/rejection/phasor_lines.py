@@ -68,6 +68,11 @@ _STEP = 5.0
 _TINY = 1e-300
 #: Probability of a scatter below which the errors are enlarged by it [1].
 _RARE = 0.05
+#: Largest sum of the correlations of the residuals at different frequencies and
+#: channels, in standard errors: noise is independent, an edge is the same in all [1].
+_LARGEST_COHERENCE = 2.5
+#: Least number of frequencies and channels with a line, if there are so many.
+_FEWEST_LINES = 3
 #: Share of windows that no edge of an object crosses, at least [1].
 _MOST_EDGES = 0.5
 #: Largest deviation of the windows that give the noise scale, step by step [1].
@@ -109,6 +114,8 @@ class PhasorLinesFit:
     by_water: NDArray[np.bool_]
     """Whether this water signal is subtracted, over (modulation_frequency,
     polarization, 1, 1). If not, the phase is that of windows."""
+    has_edges: bool
+    """Whether most windows cross an edge, so that none can be trusted."""
     terms: tuple[str, ...]
     """Names of the error terms that are not zero everywhere."""
 
@@ -133,6 +140,14 @@ class _Lines:
     offset_terms: Floats
     """Terms of the variance of the offset, on the last axis: a polynomial of the water
     signal along the line."""
+    coherence: Floats
+    """Sum of the correlations of the residuals with those of the other frequencies and
+    channels, in standard errors [1]."""
+
+    @property
+    def smooth(self) -> NDArray[np.bool_]:
+        """Mask of windows whose residuals are independent, as those of noise."""
+        return np.asarray(self.coherence < _LARGEST_COHERENCE)
 
     def scale(self, factor: Floats) -> None:
         """Multiply the variances of the samples by a factor for each window."""
@@ -178,6 +193,49 @@ def _edges(window: int) -> Floats:
     return np.asarray(steps[sizes > 0.1] / sizes[sizes > 0.1, None])
 
 
+def _residuals(
+    signal: Complex,
+    errors: Covariance,
+    usable: NDArray[np.bool_],
+    phase: Floats,
+    window: int,
+) -> Floats:
+    """Return the residuals across the lines over their errors, shape (window, sample).
+
+    Quadratic functions for the water and for the distance are taken out.
+    """
+    surface = _surface(window)
+    turn = np.exp(-1j * (phase @ surface.T))
+    turned = signal * turn
+    weight = np.sqrt(usable / errors.turned(turn).quadrature)
+    whole = turned.real
+    along = whole - np.average(whole, weights=weight**2, axis=1)[:, None]
+    columns = weight[:, :, None] * np.concatenate(
+        [np.broadcast_to(surface, (len(signal), *surface.shape)),
+         along[:, :, None] * surface], axis=2,
+    )  # fmt: skip
+    basis = np.linalg.qr(columns)[0]
+    rest = weight * turned.imag
+    part = np.ascontiguousarray(basis.swapaxes(1, 2)) @ rest[:, :, None]
+    return np.asarray(rest - (basis @ part)[:, :, 0])
+
+
+def _coherence(residuals: Floats, freedom: Floats) -> Floats:
+    """Return the sum of correlations between planes, in standard errors.
+
+    Residuals are over (plane, window, sample), zero for planes without a line.
+    """
+    power = (residuals**2).sum(axis=2)
+    products = ((residuals.sum(axis=0) ** 2).sum(axis=1) - power.sum(axis=0)) / 2
+    squares = (power.sum(axis=0) ** 2 - (power**2).sum(axis=0)) / 2
+    variance = squares / np.maximum(freedom, 1.0)
+    # Correlations of few lines are small by chance too often to show a smooth surface.
+    fewest = min(len(residuals), _FEWEST_LINES)
+    untested = (power > 0).sum(axis=0) < fewest
+    coherence = products / np.sqrt(np.maximum(variance, _TINY))
+    return np.where(untested, np.inf, np.where(squares > 0, coherence, 0.0))
+
+
 def _fit_lines(
     signal: Complex, errors: Covariance, usable: NDArray[np.bool_], window: int
 ) -> tuple[_Lines, Complex]:
@@ -210,6 +268,7 @@ def _fit_lines(
         edge=edge,
         offset=fit.offset,
         offset_terms=fit.offset_terms,
+        coherence=np.zeros(len(signal)),
     )
     return lines, contrast
 
@@ -342,7 +401,7 @@ def _fit_windows(scan: Observation, errors: Covariance, window: int) -> _Lines:
 def _fit_block(views: list[NDArray[Any]], window: int) -> _Lines:
     """Fit lines to the windows of some rows, and direct them alike in all samples."""
     shape, planes = views[0].shape[:4], views[0].shape[:2]
-    lines, contrasts, bright = [], [], []
+    lines, contrasts, bright, residuals = [], [], [], []
     for plane in np.ndindex(planes):
         signal, in_phase, quadrature, cross, usable = (
             view[plane].reshape(-1, window**2) for view in views
@@ -351,6 +410,9 @@ def _fit_block(views: list[NDArray[Any]], window: int) -> _Lines:
         line, contrast = _fit_lines(signal, errors, usable, window)
         turn = np.exp(-1j * line.phase[:, :1])
         known = np.isfinite(line.covariance[:, 0, 0])
+        rest = _residuals(signal, errors, usable, line.phase, window) * known[:, None]
+        power = np.maximum((rest**2).sum(axis=1, keepdims=True), _TINY)
+        residuals.append(rest / np.sqrt(power))
         lines.append(line)
         contrasts.append((contrast * turn).real * known[:, None])
         noise = np.sqrt((in_phase + quadrature).mean(axis=1))
@@ -361,7 +423,10 @@ def _fit_block(views: list[NDArray[Any]], window: int) -> _Lines:
     sense = np.where((along * reference).sum(axis=2) < 0, -1.0, 1.0)
     backward = (sense * np.stack(bright)).sum(axis=0) < 0
     opposite = (sense < 0) != backward
+    turned = np.where(opposite, -1.0, 1.0)[:, :, None] * np.stack(residuals)
+    coherence = _coherence(turned, lines[0].freedom)
     for line, where in zip(lines, opposite, strict=True):
+        line.coherence[:] = coherence
         line.phase[where, 0] += np.pi
         line.offset[where] *= -1
         line.offset_terms[where, 1] *= -1
@@ -395,7 +460,7 @@ def _directions(lines: _Lines, frequency: Floats, window: int) -> _Directions:
         for part in (lines.misfit, lines.freedom)
     )
     probability = chdtrc(np.maximum(freedom, 1.0), misfit)
-    agrees = probability > quality.PLAUSIBLE
+    agrees = (probability > quality.PLAUSIBLE) & lines.smooth[0, 0]
     # Scatter that noise hardly makes is an error.
     birge = np.where(probability < _RARE, misfit / np.maximum(freedom, 1.0), 1.0)
     known = np.isfinite(lines.covariance[..., 0, 0])
@@ -477,7 +542,7 @@ def _noise_scale(
     terms = np.zeros((*lines.misfit.shape[:2], TERMS))
     for plane in np.ndindex(lines.misfit.shape[:2]):
         good = np.isfinite(lines.covariance[plane][..., 0, 0])
-        good &= lines.misfit[plane] > 0
+        good &= (lines.misfit[plane] > 0) & lines.smooth[plane]
         # Windows overlap: so many are independent.
         number = good.sum() / window**2
         count = next(n for n, least in _SCALE_TERMS if number >= least)
@@ -501,6 +566,7 @@ def _fit_water(scan: Observation, lines: _Lines, window: int) -> SmoothWater:
     for plane in np.ndindex(lines.misfit.shape[:2]):
         good = np.isfinite(lines.covariance[plane][..., 0, 0])
         good &= (probability[plane] > _RARE) & (lines.edge[plane] < _WATER_EDGE)
+        good &= lines.smooth[plane]
         offsets.append(
             Offsets(
                 phase=lines.phase[plane][..., 0],
@@ -549,6 +615,8 @@ def _fit_scan(scan: Observation, window: int) -> PhasorLinesFit:
             "less than noise hides, so that no line gives the phase of the target; "
             "record open water (--method open-water), or use --method joint"
         )
+    tested = np.isfinite(lines.coherence[0, 0])
+    edges = ~lines.smooth[0, 0][tested]
     water = _fit_water(scan, lines, window)
     signal, unsure = water.before(scan.signal, scan.azimuth, scan.elevation)
     target = scan.signal - signal
@@ -567,6 +635,7 @@ def _fit_scan(scan: Observation, window: int) -> PhasorLinesFit:
         noise_scale=noise_scale,
         water=water,
         by_water=by_water,
+        has_edges=bool(edges.any() and edges.mean() > _MOST_EDGES),
         terms=(),
     )
 
@@ -608,7 +677,7 @@ def _follow(
         noise = noise.where(fit.by_water, of_line)
         common = common.where(fit.by_water, common.scaled(0.0))
         misfit = windows.doubtful | _brightness_steps(scan, window)
-        misfit &= ~fit.by_water
+        misfit = (misfit | fit.has_edges) & ~fit.by_water
         doubtful = np.where(misfit, WaterResidualCause.MODEL_MISFIT, 0).astype(np.int8)
     counting = scan.covariance.turned(turn.conj()).quadrature
     counting = counting / total.turned(turn.conj()).quadrature
@@ -696,8 +765,9 @@ def phasor_lines(cube: xr.Dataset, *, window: int = 5) -> xr.Dataset:
         - `NO_TARGET`: the signal is not significant, or no window with this pixel has
           enough contrast.
         - `WATER_RESIDUAL` with the cause `MODEL_MISFIT`, for phases of windows: the
-          samples of all windows with this pixel contradict a line, or the brightness
-          has a step near the pixel, as at the edge of an object.
+          samples of all windows with this pixel contradict a line, their residuals are
+          alike at several frequencies or channels, or the brightness has a step near
+          the pixel, as at the edge of an object.
 
     Raises
     ------
@@ -721,6 +791,12 @@ def phasor_lines(cube: xr.Dataset, *, window: int = 5) -> xr.Dataset:
     :math:`\sqrt 2 a_1 / (a_1 - a_2)` times that of the brighter sample in known water.
     The line has two directions. In the right one, samples become brighter on average.
     This fails if the water signal exceeds that of the target with opposite phase.
+
+    A step or a sharp curve of the surface within a window leaves residuals that are
+    alike at all frequencies and channels. Those of noise are independent. The sum of
+    their correlations must be below 2.5 standard errors. Windows that fail give neither
+    the noise nor the water signal. If most windows fail, all pixels are flagged. One
+    frequency of one channel has no such test.
 
     All lines of a direction contain the water signal. Lines of different directions
     intersect in it. The water signal is fitted to them as a polynomial of degree 4 of

@@ -125,6 +125,24 @@ def test_error_follows_the_contrast_as_the_formula_for_two_pixels() -> None:
     assert errors[1] / errors[0] == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.parametrize("height", [0.01, 0.03])
+def test_stairs_narrower_than_a_window_are_flagged(height: float) -> None:
+    # Spots of 2 x 2 pixels and treads of four columns, so that each window has a step.
+    spots = pattern(3)[::2, ::2].repeat(2, 0).repeat(2, 1)
+    distance = 1.5 + height * (COLUMNS // 4)
+    signal = spots * phasors(distance) + 0.2 - 0.1j
+    target = rejection.phasor_lines(cube_of(signal, noise=2e-4))
+    error, stated = phase_errors(target, phasors(distance))
+    trusted = target["quality_flag"].values == 0
+    # The same on a plane, where no window has a step.
+    plane = rejection.phasor_lines(
+        cube_of(spots * phasors(1.5 + 0.25 * height * COLUMNS) + 0.2 - 0.1j, noise=2e-4)
+    )
+    assert trusted.mean() < 0.1
+    assert (plane["quality_flag"].values == 0).mean() > 0.4
+    assert (np.abs(error[trusted]) < 5 * stated[trusted]).all()
+
+
 def test_rows_are_those_of_the_whole_scan() -> None:
     cube = cube_of(pattern(1) * phasors() + 0.2)
     whole = rejection.phasor_lines(cube)
