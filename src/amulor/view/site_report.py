@@ -81,8 +81,8 @@ def write(
             Heading("Points"),
             Picture(
                 errors(cloud),
-                "Largest standard uncertainty of each point: noise, what its scan "
-                "shares, and the pose.",
+                "Largest standard uncertainty of each point, from noise, shared errors "
+                "and pose.",
             ),
             _scans(site, cloud),
         ]
@@ -216,11 +216,11 @@ def change_map(change: Change, places: Sequence[Region]) -> Figure:
     bins = np.linspace(-6, 6, 61)
     axes[1].hist(
         np.clip(score, -6, 6), bins=list(bins), density=True, color=COLOURS[5],
-        label="found",
+        label="measured",
     )  # fmt: skip
     axes[1].plot(
         bins, np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi), color=COLOURS[6],
-        label="chance alone",
+        label="without change",
     )  # fmt: skip
     axes[1].set_xlabel("change over its uncertainty")
     axes[1].set_yticks([])
@@ -278,9 +278,9 @@ def _poses(site: Site, registration: Registration) -> Table:
     return Table(
         header,
         rows,
-        "Uncertainties in the frame of the site. What all scans have in common, such "
-        "as the place of the whole site, is part of them; the last two columns are "
-        "without it, the largest of three axes.",
+        "Standard uncertainties in the frame of the site. They include errors that are "
+        "common to all scans, such as the position of the whole site. The last two "
+        f"columns are relative to {site.scan[0].name}, the largest of three axes.",
     )
 
 
@@ -329,12 +329,12 @@ def _pairs(registration: Registration) -> Table:
         for pair in registration.pairs
     ]
     return Table(
-        ["scans", "points", "median [mm]", "misfit", "stand off", "directions held"],
+        ["scans", "points", "median [mm]", "misfit", "excluded", "directions"],
         rows,
         "Distances of the points of one scan from the surface of another, along the "
-        "beam. The misfit is their scatter over what is stated; points that stand off "
-        "together are other objects and do not count. A flat sea bed holds three "
-        "directions of six.",
+        "beam. The misfit is their scatter over the stated noise. Groups of points off "
+        "the surface belong to other objects and are excluded. The last column is the "
+        "number of pose directions that the pair determines: three on a flat sea bed.",
     )
 
 
@@ -561,21 +561,21 @@ def _changed(
         ),
         Picture(
             change_map(change, places),
-            "Large dots changed; rings hold places where several did. On the right, "
-            "what chance alone would leave.",
+            "Large dots are significant changes, and circles are connected regions. "
+            "Right: distribution of all places, and that without change.",
         ),
     ]
     if not places:
         return [*parts, Paragraph("No place changed.")]
-    rows = []
+    rows, moved_rows = [], []
     for number, place in enumerate(places):
         motion = motions.get(number)
-        moved = ["", "", "", "", ""]
+        moved = ["-", "", "", "", ""]
         first = next((k for k in sorted(motions) if motions[k] is motion), number)
         if motion is not None and first != number:
             moved[0] = f"as place {first + 1}"
         elif isinstance(motion, str):
-            moved = ["-", "", "", "", motion]
+            moved[4] = motion
         elif motion is not None:
             shift = ", ".join(f"{v * 1e3:+.2f}" for v in motion.shift)
             moved = [
@@ -595,17 +595,27 @@ def _changed(
                 f"{place.mean * 1e3:+.2f} ± {place.mean_uncertainty * 1e3:.2f}",
                 f"{place.volume * 1e6:+.0f} ± {place.volume_uncertainty * 1e6:.0f}",
                 f"{place.lost * 1e4:.0f}",
-                *moved,
             ]
         )
+        if motion is not None:
+            moved_rows.append([str(number + 1), *moved])
     header = ["place", "at [m]", "area [cm²]", "mean [mm]", "volume [cm³]"]
     header += ["not compared [cm²]"]
-    header += ["moved by [mm]", "east, north, up [mm]", "turned by [deg]"]
-    header += ["moved at [m]", "not known"]
-    caption = (
-        "Means and volumes along the normals. A volume has the rim of its place; what "
-        "could not be compared there is interpolated. A motion is the rigid one that "
-        "takes what stands above the ground there from the first visit to the second. "
-        "What the shape of an object does not show is not known, and set to zero."
+    parts.append(
+        Table(
+            header,
+            rows,
+            "Mean changes and volumes along the normals. A volume includes the rim of "
+            "its region, and interpolated changes where nothing could be compared.",
+        )
     )
-    return [*parts, Table(header, rows, caption)]
+    if not moved_rows:
+        return parts
+    header = ["place", "moved by [mm]", "east, north, up [mm]", "turned by [deg]"]
+    header += ["center [m]", "not known"]
+    caption = (
+        "Rigid motions of the objects above the ground, from the first visit to the "
+        "second. Motions that the shape of an object does not determine are not known, "
+        "and set to zero."
+    )
+    return [*parts, Table(header, moved_rows, caption)]

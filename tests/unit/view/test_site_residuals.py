@@ -1,4 +1,4 @@
-"""Residuals of scan pairs: their scores, maps and histograms."""
+"""Tables and figures of the report of a site: residuals of scan pairs, changes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 from drawn_sites import known_registration, one_visit
 from numpy.testing import assert_allclose
 
+from amulor.site.change.distances import Change, Region
 from amulor.site.registration.reliability import Reliability, observation_groups
 from amulor.view import site_report
 from amulor.view.site_residuals import (
@@ -81,3 +82,24 @@ def test_errors_without_a_unit_are_given_in_stated_uncertainties() -> None:
     assert site_report._detectable(replace(group, detectable=None)) == "-"
     angles = replace(group, unit="rad", detectable=2e-3)
     assert site_report._detectable(angles) == "2.00 mrad"
+
+
+def test_motions_have_a_table_of_their_own() -> None:
+    values = np.array([1e-3, 2e-3, 0.0, np.nan])
+    change = Change(
+        epochs=("one", "two"), position=np.eye(4, 3), normal=np.eye(4, 3), value=values,
+        uncertainty=np.full(4, 1e-3), own=np.full(4, 1e-3), shape=np.zeros(4),
+        shared=np.zeros((4, 1)), significant=values > 0, chance=np.ones(4),
+        area=np.full(4, 1e-4), spacing=0.01, radius=0.015, false_alarms=0.05,
+    )  # fmt: skip
+    place = Region(
+        members=np.arange(2), centre=np.zeros(3), reach=0.1, area=2e-4,
+        area_uncertainty=1e-4, mean=1.5e-3, mean_uncertainty=1e-4, largest=2e-3,
+        volume=3e-7, volume_uncertainty=1e-6, lost=1e-4,
+    )  # fmt: skip
+    _, _, _, areas, motions = site_report._changed(
+        change, [place, place], {1: "too few points"}
+    )
+    assert [row[2] for row in areas.rows] == ["2 ± 1", "2 ± 1"]
+    assert motions.rows == [["2", "-", "", "", "", "too few points"]]
+    assert len(motions.header) == len(motions.rows[0])
