@@ -525,8 +525,7 @@ class Tally:
         if self.derivative_batches is None or name not in self.derivatives:
             names = ", ".join(repr(known) for known in self.derivatives) or "none"
             raise ValueError(f"the derivatives are {names}; got {name!r}")
-        if light not in LIGHT:
-            raise ValueError(f"light must be one of {', '.join(LIGHT)}; got {light!r}")
+        _refuse_other_light(light)
         first = 2 * self.derivatives.index(name)
         both = self.derivative_batches[:, first : first + 2]
         values = both.sum(axis=1) if light == "all" else both[:, LIGHT.index(light) - 1]
@@ -628,8 +627,7 @@ class Tally:
         ValueError
             If there is no such light or state, or the run did not record it.
         """
-        if light not in LIGHT:
-            raise ValueError(f"light must be one of {', '.join(LIGHT)}; got {light!r}")
+        _refuse_other_light(light)
         if self.histories_of.size < 2:
             return True
         sums = self.contributions
@@ -728,6 +726,12 @@ class Tally:
             next_batch=-1,
             record=None,
         )
+
+
+def _refuse_other_light(light: str) -> None:
+    """Raise a ValueError unless the light is one of `LIGHT`."""
+    if light not in LIGHT:
+        raise ValueError(f"light must be one of {', '.join(LIGHT)}; got {light!r}")
 
 
 def paired(
