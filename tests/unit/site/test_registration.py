@@ -17,7 +17,7 @@ from amulor.site import Site
 from amulor.site.description import SphereTarget
 from amulor.site.registration.align import Alignment, align
 from amulor.site.registration.centres import centre_of
-from amulor.site.registration.network import KnownPose, Ties
+from amulor.site.registration.network import Centre, KnownPose, Ties
 from amulor.site.registration.pair import Pair, _bend, compared, on_grid
 from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import register
@@ -427,3 +427,68 @@ def test_distances_of_two_scans_change_as_their_derivatives_say() -> None:
         expected = before.by_target[here, :6] @ moved
         # The patches of a curve lean by some percent.
         np.testing.assert_allclose(change, expected, rtol=0.03, atol=1e-6)
+
+
+class Ball:
+    """A ball in front of a wall on a fine grid of beams, without noise."""
+
+    centre, radius = np.array([0.02, -0.03, 2.1]), 0.06
+
+    def __init__(self, errors: scanning.Errors) -> None:
+        self.errors = errors
+        self.azimuth, self.elevation, self.unit = scanning.grid(40, 52, 0.06)
+        along = self.unit @ self.centre
+        inside = along**2 - self.centre @ self.centre + self.radius**2
+        ball = along - np.sqrt(np.where(inside > 0, inside, np.nan))
+        self.met = np.isfinite(ball)
+        self.range = np.where(self.met, ball, 2.6)
+        outward = self.range[..., None] * self.unit - self.centre
+        self.normal = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
+        self.facing = -np.sum(self.normal * self.unit, axis=-1)
+
+    def found(
+        self, ranges: np.ndarray, *, radius: float | None = None
+    ) -> tuple[Centre, np.ndarray, ScanSurface]:
+        """Return the center, the pixels on the ball and the scan."""
+        image = scanning.image(
+            ranges, self.azimuth, self.elevation, errors=self.errors, draw=None,
+            scan="a",
+        )  # fmt: skip
+        scan = surface(image, "a")
+        target = SphereTarget.model_validate(
+            {
+                "kind": "sphere", "name": "S", "radius": radius or self.radius,
+                "radius_uncertainty": 2e-4,
+                "places": [{"scan": "a", "row": 17, "column": 29}],
+            }
+        )  # fmt: skip
+        centre, pixels = centre_of(target, scan, image, 17, 29)
+        return centre, pixels, scan
+
+
+def test_the_centre_of_an_exact_sphere_is_exact_with_the_error_of_least_squares() -> (
+    None
+):
+    ball = Ball(ERRORS)
+    centre, pixels, scan = ball.found(ball.range)
+    np.testing.assert_allclose(centre.position, ball.centre, rtol=0, atol=1e-7)
+    # Up to an angle of incidence of 60 degrees.
+    np.testing.assert_array_equal(pixels, ball.met & (ball.facing > 0.5))
+    # A beam is longer by n / (n . d) of a shift of the ball.
+    rows = (ball.normal / -ball.facing[..., None] / scan.own[..., None])[pixels]
+    np.testing.assert_allclose(
+        centre.covariance, np.linalg.inv(rows.T @ rows), rtol=1e-4
+    )
+
+
+def test_a_wrong_radius_shifts_the_centre_of_a_sphere_along_the_beam() -> None:
+    ball = Ball(ERRORS)
+    step = 1e-5
+    near, far = (
+        ball.found(ball.range, radius=ball.radius + sign * step)[0].position
+        for sign in (-1, 1)
+    )
+    centre, *_ = ball.found(ball.range)
+    expected = (far - near) / (2 * step) * 2e-4
+    assert expected[2] > 2e-4
+    np.testing.assert_allclose(centre.shared["radius: S"], expected, rtol=5e-3)
