@@ -1,0 +1,65 @@
+"""Row ranges of a scan, joined, are the file that is made at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+from amulor import io
+from amulor.scale import parts
+from amulor.scale.tasks import Task
+
+WHEN = "2026-05-04T12:30:00Z"
+
+
+@pytest.fixture
+def task(plate_text: str, tmp_path: Path) -> Task:
+    survey = tmp_path / "plate.toml"
+    small = plate_text.replace("columns = 12\nrows = 6", "columns = 3\nrows = 4")
+    assert small != plate_text
+    survey.write_text(small)
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    return Task(
+        name="scan",
+        file="",
+        simulated_from=str(survey),
+        seed=3,
+        method="co-polarized",
+        polarization="VV",
+        interval=(0.8, 3.0),
+        folder=str(folder),
+        started=WHEN,
+        tile_rows=2,
+    )
+
+
+def content(path: Path) -> xr.Dataset:
+    """Return a cube without the lines that say when and how it was made."""
+    return io.read_cube(path).assign_attrs(history="")
+
+
+def test_parts_joined_are_the_whole_and_replace_an_old_file(task: Task) -> None:
+    folder = Path(task.folder)
+    samples, step, image, cloud = parts.chain(task)
+    names = [each.name for each in (samples, step, image, cloud)]
+    assert names == ["samples.nc", "target_signal.nc", "range_image.nc", "cloud.ply"]
+    parts.whole(samples, folder / samples.name)
+    path = folder / step.name
+    path.write_bytes(b"of an earlier survey")
+    parts.whole(step, path)
+    whole = content(path)
+    assert parts.parts_of(task, step.name) == [(0, 2), (2, 4)]
+    for begin, end in ((0, 2), (2, 4)):
+        parts.make_part(task, step.name, begin, end)
+    # A part that exists is not computed again.
+    (file,) = (step.folder / "00000002").glob("*.nc")
+    before = file.stat().st_mtime_ns
+    parts.make_part(task, step.name, 2, 4)
+    assert file.stat().st_mtime_ns == before
+    parts.whole(step, path)
+    xr.testing.assert_identical(content(path), whole)
+    parts.forget_parts(step)
+    assert not (folder / "parts").exists()
