@@ -14,8 +14,6 @@ from amulor.optics import range_profile
 
 Floats = NDArray[np.float64]
 
-#: Least number of modulation frequencies of a profile.
-FEWEST = 3
 #: Points of the profile per resolution.
 _POINTS = 16
 
@@ -90,11 +88,11 @@ def beam_profile(
     if "saturated" in pixel:
         usable &= pixel["saturated"].values[:, 0, 0] == 0
     frequency = pixel["modulation_frequency"].values[usable]
-    if np.unique(frequency).size < FEWEST:
+    if np.unique(frequency).size < range_profile.FEWEST:
         raise CubeError(
             f"pixel {row},{column} has valid samples at {np.unique(frequency).size} of "
             f"{usable.size} modulation frequencies; a range profile needs at least "
-            f"{FEWEST}"
+            f"{range_profile.FEWEST}"
         )
     signal, error = signal[usable], error[usable]
     water = None if water is None else water[usable]

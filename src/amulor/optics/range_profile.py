@@ -16,6 +16,8 @@ __all__ = ["Surfaces", "range_profile", "resolution", "surfaces", "unambiguous_s
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: Least number of modulation frequencies of a profile.
+FEWEST = 3
 #: Places of a search per resolution.
 _OVERSAMPLING = 8
 #: Least part of an echo that other surfaces do not explain, for a search [1].

@@ -1,9 +1,10 @@
-"""Strongest surface of a stepped-frequency range profile, without water and others."""
+"""One surface of a stepped-frequency range profile, without water and others."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import xarray as xr
@@ -24,12 +25,19 @@ from amulor.rejection.observation import Observation
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Frequencies that a profile with water and a surface needs.
-_FEWEST = 5
+#: Frequencies that a profile with water and a surface needs, beside those of a profile.
+_FEWEST = profiles.FEWEST + 2
 #: Departure from the model, over its assumed error, that is a misfit [1].
 _MISFIT = 2.0
-#: Parts of the strongest amplitude: an echo is a second surface beyond it [1].
-_SECOND = 0.05
+#: Least amplitude of the nearest or farthest surface, in parts of the strongest: errors
+#: of the model look like weaker surfaces [1].
+_SECOND = 0.1
+#: Least distance of another surface, in parts of the range resolution: late light of
+#: turbid water looks like a surface closer behind the first [1].
+_APART = 0.75
+
+#: Surface of each beam that the target signal has.
+Surface = Literal["strongest", "nearest", "farthest"]
 
 
 @dataclass(frozen=True)
@@ -40,8 +48,8 @@ class _Beam:
     """Samples without water and other surfaces, shape (frequencies,) [V]."""
     variance: Floats
     """Variance of each output, shape (frequencies,) [V^2]."""
-    count: int
-    """Number of surfaces."""
+    has_surface: bool
+    """Whether a surface is significant."""
     misfit: bool
     """Whether the samples depart from the model by more than its error."""
 
@@ -53,8 +61,9 @@ def range_profile(
     interval: tuple[float, float] | None = None,
     most: int = 3,
     model_error: float = 0.01,
+    surface: Surface = "strongest",
 ) -> xr.Dataset:
-    r"""Separate the strongest surface of each beam by its range profile.
+    r"""Separate one surface of each beam from others by its range profile.
 
     Parameters
     ----------
@@ -70,16 +79,21 @@ def range_profile(
     model_error : float
         Standard uncertainty of the model at each frequency, relative to the sample:
         gains of the frequencies, and scattering, which weakens high frequencies [1].
+    surface : {"strongest", "nearest", "farthest"}
+        Surface of each beam: a net in front of a wall is the nearest one. Surfaces with
+        less than a tenth of the strongest amplitude do not count as nearest or
+        farthest.
 
     Returns
     -------
     xarray.Dataset
-        Level `target_signal`. The signal is that of the strongest surface.
+        Level `target_signal`. The signal is that of the chosen surface.
 
         - `NO_TARGET`: no surface is significant.
-        - `MIXED`: the beam meets several surfaces.
         - `WATER_RESIDUAL` with the cause `MODEL_MISFIT`: the samples depart from
-          water and surfaces by more than the error of the model.
+          water and surfaces by more than the error of the model, or another surface
+          is closer than three quarters of the range resolution. In turbid water that is
+          the late light of the same surface.
 
     Raises
     ------
@@ -87,7 +101,7 @@ def range_profile(
         If there are fewer than five frequencies, or the interval is longer than the
         unambiguous span.
     ValueError
-        If an argument is out of range.
+        If an argument is out of range, or there is no such surface.
 
     Notes
     -----
@@ -132,6 +146,10 @@ def range_profile(
             f"most must be 1 or more and model_error above 0, got {most} and "
             f"{model_error:g}"
         )
+    if surface not in get_args(Surface):
+        raise ValueError(
+            f"surface must be strongest, nearest or farthest, got {surface!r}"
+        )
     scan = Observation(cube=cubes.checked(cube, "samples"))
     index = float(scan.cube["geometry"].attrs["group_index"])
     places = _places(scan.frequency, index, interval)
@@ -156,9 +174,10 @@ def range_profile(
             group_index=index,
             interval=places,
             most=most,
+            surface=surface,
         )
         target[at], variance[at] = beam.target, beam.variance
-        if beam.count == 0:
+        if not beam.has_surface:
             flag[at] |= QualityFlag.NO_TARGET
         if beam.misfit:
             cause[at] |= WaterResidualCause.MODEL_MISFIT
@@ -170,7 +189,7 @@ def range_profile(
         errors if shared is None else errors + shared,
         common=shared,
         water_signal=scan.signal - target,
-        step=f"reject, range profile with up to {most} surfaces",
+        step=f"reject, range profile with up to {most} surfaces, the {surface} one",
         frequencies_share_errors=np.int32(0),
     )
     result = quality.add_water_residual(result, cause)
@@ -256,8 +275,9 @@ def _separated(
     group_index: float,
     interval: tuple[float, float],
     most: int,
+    surface: Surface,
 ) -> _Beam:
-    """Return the strongest surface of a beam, without water and other surfaces."""
+    """Return a surface of a beam, without water and other surfaces."""
     found = profiles.surfaces(
         signal,
         standard_uncertainty=error,
@@ -279,10 +299,15 @@ def _separated(
     freedom = 2 * frequency.size - 2 * found.amplitude.size - (water is not None)
     misfit = float(np.sum(np.abs(rest / error) ** 2)) > _MISFIT**2 * max(freedom, 1)
     if not found.amplitude.size:
-        return _Beam(rest, error**2, 0, misfit)
-    strongest = int(found.amplitude.argmax())
-    target = rest + echoes[:, strongest]
+        return _Beam(rest, error**2, False, misfit)
+    chosen = int(found.amplitude.argmax())
+    if surface != "strongest":
+        counted = np.flatnonzero(found.amplitude > _SECOND * found.amplitude[chosen])
+        chosen = int(counted[0 if surface == "nearest" else -1])
+    target = rest + echoes[:, chosen]
     alone = np.sum((wave * np.abs(target) / error) ** 2)
-    scale = max(1.0, float(found.covariance[strongest, strongest] * alone))
-    second = found.amplitude > _SECOND * found.amplitude[strongest]
-    return _Beam(target, scale * error**2, int(second.sum()), misfit)
+    scale = max(1.0, float(found.covariance[chosen, chosen] * alone))
+    distance = np.abs(np.delete(found.slant_range - found.slant_range[chosen], chosen))
+    width = profiles.resolution(modulation_frequency=frequency, group_index=group_index)
+    misfit |= bool(np.any(distance < _APART * width))
+    return _Beam(target, scale * error**2, True, misfit)

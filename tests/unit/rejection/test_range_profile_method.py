@@ -52,9 +52,13 @@ def with_signal(
     return cube
 
 
-def offsets(cube: xr.Dataset, distance: float) -> tuple[np.ndarray, np.ndarray]:
+def offsets(
+    cube: xr.Dataset, distance: float, **options: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Return estimated less true distance of the phases, and its uncertainty [m]."""
-    target = rejection.range_profile(cube, interval=INTERVAL, model_error=1e-6)
+    target = rejection.range_profile(
+        cube, interval=INTERVAL, model_error=1e-6, **options
+    )
     signal = target.amulor.signal.values
     phase = np.angle(signal / turns(cube, distance))
     index = float(cube["geometry"].attrs["group_index"])
@@ -83,6 +87,43 @@ def test_a_second_surface_and_water_do_not_shift_the_range(frame: xr.Dataset) ->
     slope = 4 * np.pi * FREQUENCIES * float(frame["geometry"].attrs["group_index"])
     bound = error / np.sqrt(np.sum((slope / speed_of_light) ** 2))
     assert (sigma > bound).all()
+
+
+@pytest.mark.parametrize(
+    ("surface", "distance"),
+    [("nearest", 1.46), ("strongest", 1.58), ("farthest", 1.70)],
+)
+def test_each_of_three_surfaces_12_cm_apart_is_chosen(
+    frame: xr.Dataset, surface: str, distance: float
+) -> None:
+    # 100 MHz to 1 GHz resolve 12 cm.
+    echoes = 0.5 * turns(frame, 1.46) + turns(frame, 1.58) + 0.4 * turns(frame, 1.70)
+    water = WATER[:, None, None]
+    cube = with_signal(
+        frame, echoes + 0.5 * water[..., None], water, error=5e-3, seed=5
+    )
+    off, sigma = offsets(cube, distance, surface=surface)
+    assert np.sqrt(np.mean((off / sigma) ** 2)) == pytest.approx(1, abs=0.25)
+    assert np.abs(off / sigma).max() < 4.5
+    assert np.median(sigma) < 2e-3
+
+
+def test_the_tail_of_late_light_is_flagged(frame: xr.Dataset) -> None:
+    # Scattered light arrives with an exponential tail of 1 cm, which no resolution of
+    # 12 cm separates from a second surface.
+    wave = 4 * np.pi * FREQUENCIES * float(frame["geometry"].attrs["group_index"])
+    tail = 1 / (1 - 0.01j * wave / speed_of_light)
+    nothing = np.zeros((FREQUENCIES.size, 1, 1), dtype=complex)
+    echo = tail[:, None, None, None] * turns(frame, 1.6)
+    cube = with_signal(frame, echo, nothing, error=1e-3, seed=6)
+    target = rejection.range_profile(cube, interval=INTERVAL)
+    flagged = (target["quality_flag"].values & QualityFlag.WATER_RESIDUAL) != 0
+    assert flagged.mean() > 0.95
+
+
+def test_an_unknown_surface_is_refused(frame: xr.Dataset) -> None:
+    with pytest.raises(ValueError, match="surface must be strongest, nearest or farth"):
+        rejection.range_profile(frame, surface="second")
 
 
 def test_one_surface_has_the_uncertainty_of_its_phases(frame: xr.Dataset) -> None:

@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -151,8 +152,16 @@ def written(content: str) -> Iterator[Row]:
 def read(path: Path) -> list[Row]:
     """Read the table of a file; FormatError if it is none."""
     try:
-        return list(written(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
+        return _rows_of(path.read_text(encoding="utf-8"), path)
+    except OSError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def _rows_of(content: str, path: Path) -> list[Row]:
+    """Parse the table of a file; FormatError with its path if it is none."""
+    try:
+        return list(written(content))
+    except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
 
 
@@ -181,8 +190,6 @@ def run(
         for scene in scenes
         for method in methods
     }
-    if path.exists():
-        read(path)
     cases: dict[str, Case] = {}
     order = {key: number for number, key in enumerate(keys, start=1)}
 
@@ -205,7 +212,7 @@ def run(
         keys,
         compute,
         key_of=key_of,
-        written=written,
+        written=partial(_rows_of, path=path),
         text=text,
         line=line,
         done=show,
