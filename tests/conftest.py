@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before numpy and numba are loaded. The solves are small, and threads would only wait
@@ -21,6 +22,7 @@ import pytest
 import skips
 from hypothesis import settings
 
+from amulor import _progress
 from amulor.survey import Survey
 
 # Modules and tests stay, so looking through them for garbage takes a fifth of the time
@@ -106,6 +108,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.study)
     folders = ("tests/system/", "tests/physics/")
     items.sort(key=lambda item: not item.nodeid.startswith(folders))
+
+
+@pytest.fixture(autouse=True)
+def _progress_from_0_to_1() -> Iterator[None]:
+    """Check each report of progress that no listener of a test receives."""
+    before = _progress._ear.set(_progress._Ear(_within))
+    yield
+    _progress._ear.reset(before)
+
+
+def _within(step: str, share: float) -> None:
+    # A delay before the first step has no words.
+    assert step or share == 0, "a report of progress without words"
+    assert -1e-9 <= share <= 1 + 1e-9, f"{step}: {share} of the work"
 
 
 PLATE = """
