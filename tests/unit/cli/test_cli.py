@@ -757,3 +757,24 @@ def test_a_closed_pipe_and_a_full_disk_make_no_traceback() -> None:
         assert "Traceback" not in done.stderr
         assert "Exception" not in done.stderr
         assert code is None or done.returncode == code
+
+
+@pytest.mark.parametrize("saturation", ["1 V", "5 mV", "1 uV"])
+def test_a_simulation_states_the_shares_of_its_cube(
+    saturation: str, tmp_path: Path, plate_text: str, capsys
+) -> None:
+    survey, output = tmp_path / "tank.toml", tmp_path / "samples.nc"
+    # A narrow plate: some beams pass it.
+    detector = "[instrument.detector]"
+    text = plate_text.replace(detector, f'{detector}\nsaturation = "{saturation}"')
+    survey.write_text(text.replace('width = "30 cm"', 'width = "5 cm"'))
+    assert main(["simulate", str(survey), "-o", str(output)]) == 0
+    cube = io.read_cube(output)
+    hit = float((cube.amulor.truth["target"] >= 0).mean())
+    overload = float((cube["saturated"] == 1).mean())
+    assert 0.1 < hit < 0.9
+    assert (overload > 0) == (saturation != "1 V")
+    assert (
+        f"{hit:.1%} of the beams meet a target, {overload:.1%} of the samples overload"
+        in capsys.readouterr().out
+    )

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from amulor.design.geometry import with_receiver
+from amulor.design.geometry import place_of, with_receiver
 from amulor.optics import rays
 from amulor.survey import Survey
 
@@ -51,3 +51,30 @@ def test_its_axis_meets_the_beam_where_it_is_aimed(
     aside = with_receiver(survey, baseline=baseline, aim=math.inf)
     assert aside.instrument.receiver.azimuth == survey.scan.azimuth
     assert aside.instrument.receiver.elevation == survey.scan.elevation
+
+
+def test_distances_of_a_straight_beam_are_those_of_a_triangle() -> None:
+    survey = TANK.with_(
+        {
+            "instrument.receiver.position": ["0.3 m", "0 m", "0 m"],
+            "scan.azimuth": "0 rad",
+        }
+    )
+    distance = np.array([0.4, 2.0, 5.0])
+    place = place_of(survey, distance)
+    back = np.hypot(distance, 0.3)
+    assert_allclose(place.depth, distance)
+    assert_allclose(place.back, back)
+    assert_allclose(place.path, 1.38 * (distance + back))
+    assert_allclose(place.cosine, distance / back)
+    # L + sqrt(L^2 + b^2) grows by 1 + L / sqrt(L^2 + b^2).
+    assert_allclose(place.slope, 1 / (1.38 * (1 + distance / back)), rtol=1e-4)
+
+
+def test_a_window_takes_its_distance_and_thickness_from_the_water() -> None:
+    window = {"distance": "30 cm", "thickness": "2 cm"}
+    survey = TANK.with_({"instrument.window": window, "scan.azimuth": "0 rad"})
+    place = place_of(survey, np.array([0.5, 2.0]))
+    assert_allclose(place.depth, [0.18, 1.68])
+    # An angle in air is smaller in water by the phase index.
+    assert place.per_acceptance < 0.9

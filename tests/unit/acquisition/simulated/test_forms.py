@@ -56,3 +56,25 @@ def test_a_controller_answers_any_form(small, settings, clock, data) -> None:
     assert int(error) in (0, 1, 2, 5, 7, 8, 10, 15, 17)
     if answers and word != "ERR?":
         assert error == "0"
+
+
+@pytest.mark.parametrize(("question", "sign"), [("TMN?", -1), ("TMX?", 1)])
+def test_a_stage_moves_to_its_ends_and_no_farther(
+    small, settings, clock, question, sign
+) -> None:
+    bench = simulated_bench(small, settings, scene=scene_light, clock=clock)
+    device = SimulatedPiController(bench, settings)
+    ends = dict(line.strip().split("=") for line in device.answer(question))
+    assert len(ends) == 5
+    for axis, end in ends.items():
+        device.answer(f"SVO {axis} 1")
+        device.answer(f"FRF {axis}")
+        clock.sleep(10.0)
+        device.answer(f"MOV {axis} {end}")
+        assert device.answer("ERR?") == ["0"]
+        clock.sleep(100.0)
+        # Beyond the end: position out of limits.
+        device.answer(f"MOV {axis} {float(end) + sign * 1e-3:.7f}")
+        assert device.answer("ERR?") == ["7"]
+        (goal,) = device.answer(f"MOV? {axis}")
+        assert goal.strip().split("=")[1] == end
