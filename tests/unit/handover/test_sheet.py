@@ -19,10 +19,17 @@ from amulor.cli import main
 from amulor.errors import FormatError
 from amulor.handover import Order, hand_over
 from amulor.imaging import products
+from amulor.imaging.products import Contour
 from amulor.io.drawings import FIELDS, Drawing, Line
 from amulor.view.sheet import (
+    Annotations,
+    Station,
+    _around,
+    _contour_lines,
+    _label,
     _Paper,
     _scale_bar,
+    annotate,
     colours_of,
     fitting_scale,
     line_sheet,
@@ -353,3 +360,169 @@ def test_statements_fill_the_title_block_to_its_lower_border(steps, count) -> No
     # Lines of 3.1 mm, 10 mm above the edge of the paper.
     assert high - low == pytest.approx(3.1 * count, abs=1.2)
     assert 11.5 < low < 15
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "scale", "step"),
+    # On paper 20 to 50 mm; 8 to 20 mm where a drawing is less than four steps wide, and
+    # 4 to 10 mm where fewer than two places are left.
+    [
+        (0.0, 0.2, 1.0, 0.02),
+        (0.0, 0.08, 1.0, 0.02),
+        (0.0, 0.0799, 1.0, 0.01),
+        (-3.0, 5.0, 50.0, 1.0),
+        (0.001, 0.0099, 1.0, 0.005),
+    ],
+)
+def test_a_grid_has_round_coordinates(low, high, scale, step) -> None:
+    drawing = Drawing(title="", lines=(), axes=("right", "up"))
+    paper = _Paper((low, high, low, high), drawing, scale=scale)
+    paper.grid(("right", "up"))
+    ticks = paper.axis.get_xticks()
+    expected = np.arange(np.ceil(low / step), np.floor(high / step + 1e-9) + 1) * step
+    assert ticks == pytest.approx(expected)
+    texts = [text.get_text() for text in paper.axis.get_xticklabels()]
+    assert [float(text) for text in texts] == pytest.approx(ticks)
+    assert len({len(text.partition(".")[2]) for text in texts}) == 1
+    assert paper.axis.get_xlabel() == "right [m]"
+    assert paper.axis.get_ylabel() == "up [m]"
+
+
+def test_fields_of_a_title_block_stand_in_two_rows_of_four_cells(steps) -> None:
+    filled = replace(steps, fields={name: f"<{name}>" for name in FIELDS})
+    paper = _Paper((0.0, 0.1, 0.0, 0.05), filled, scale=1.0)
+    paper.block([], arrow="up")
+    (frame,) = (axis for axis in paper.figure.axes if axis is not paper.axis)
+    cells = [bar.get_bbox() for bar in frame.patches if not bar.get_fill()][1:]
+    assert len(cells) == len(FIELDS) == 8
+    # Rows of 8.5 mm, under a title of 9 mm, over the whole width within the border.
+    top = paper.below - 9.0
+    assert [cell.y1 for cell in cells] == pytest.approx([top] * 4 + [top - 8.5] * 4)
+    assert {round(cell.height, 6) for cell in cells} == {8.5}
+    width = (paper.width - 20.0) / 4
+    assert [cell.x0 for cell in cells] == pytest.approx(
+        [10.0 + width * column for column in (0, 1, 2, 3)] * 2
+    )
+    places = {text.get_text(): text.get_position() for text in frame.texts}
+    for name, cell in zip(FIELDS, cells, strict=True):
+        for words in (name, f"<{name}>"):
+            x, y = places[words]
+            assert cell.x0 < x < cell.x0 + 3
+            assert cell.y0 < y < cell.y1
+        # The name above the entry.
+        assert places[name][1] > places[f"<{name}>"][1]
+
+
+def test_a_colour_scale_runs_between_its_limits(steps) -> None:
+    paper = _Paper((0.0, 0.1, 0.0, 0.05), steps, scale=1.0)
+    paper.colour_bar("height", (-2.0, 6.0), "mm")
+    bar = paper.figure.axes[-1]
+    (image,) = bar.images
+    assert tuple(image.get_extent()) == (-2.0, 6.0, 0.0, 1.0)
+    values = np.asarray(image.get_array())[0]
+    assert (values[0], values[-1]) == (0.0, 1.0)
+    assert np.all(np.diff(values) > 0)
+    assert bar.get_title(loc="right") == "height [mm]"
+    # 50 mm long, 6 mm from the border of 10 mm.
+    box = bar.get_position()
+    assert box.width * paper.width == pytest.approx(50.0)
+    assert box.x1 * paper.width == pytest.approx(paper.width - 16.0)
+
+
+def test_annotations_stand_at_their_places() -> None:
+    axis = Figure(figsize=(6, 6)).add_subplot()
+    axis.set_xlim(0, 10)
+    axis.set_ylim(0, 10)
+    outline = np.array([[1.0, 1.0], [4.0, 1.0], [4.0, 5.0]])
+    hole = np.array([[2.0, 2.0], [3.0, 2.0], [3.0, 3.0]])
+    cut = np.array([[1.0, 8.0], [7.0, 8.0]])
+    annotate(
+        axis,
+        Annotations(
+            outlines=(("#ff0000", (outline, hole)),),
+            stations={
+                "s": Station(
+                    position=np.array([5.0, 4.0]),
+                    covariance=np.diag([4e-4, 1e-4]),
+                    colour="#0000ff",
+                )
+            },
+            enlarged=20.0,
+            targets={"T": np.array([6.0, 2.0])},
+            cuts={"A": cut},
+            details={"1": (7.0, 9.0, 1.0, 3.0)},
+        ),
+    )
+    lines = {line.get_gid(): line.get_xydata() for line in axis.lines}
+    np.testing.assert_array_equal(lines["footprint"], outline)
+    assert sum(line.get_gid() == "footprint" for line in axis.lines) == 1
+    drawn = [np.asarray(line.get_xydata()).tolist() for line in axis.lines]
+    for points in (hole, [[5.0, 4.0]], [[6.0, 2.0]], cut):
+        assert np.asarray(points).tolist() in drawn
+    boxes = {patch.get_gid(): patch for patch in axis.patches}
+    ellipse = boxes["error-ellipse"]
+    assert ellipse.get_center() == (5.0, 4.0)
+    # Diameters: twice 20 mm and 10 mm, enlarged 20 times.
+    assert (ellipse.get_width(), ellipse.get_height()) == pytest.approx((0.8, 0.4))
+    assert boxes["detail"].get_bbox().extents.tolist() == [7.0, 1.0, 9.0, 3.0]
+    texts = {text.get_text(): text for text in axis.texts}
+    assert set(texts) == {"s", "T", "A", "A'", "1"}
+    assert texts["A"].xy == (1.0, 8.0)
+    assert texts["A'"].xy == (7.0, 8.0)
+    assert texts["A"].get_position() == pytest.approx((-7.0, 0.0))
+    assert texts["A'"].get_position() == pytest.approx((7.0, 0.0))
+    assert (texts["s"].xy, texts["T"].xy) == ((5.0, 4.0), (6.0, 2.0))
+
+
+def test_the_sheet_has_room_for_stations_and_letters() -> None:
+    scan = (0.0, 4.0, 0.0, 3.0)
+    assert _around(scan, None, 0.1) == pytest.approx((-0.1, 4.1, -0.1, 3.1))
+    station = Station(
+        position=np.array([-2.0, 1.0]), covariance=np.eye(2), colour="#000000"
+    )
+    cut = np.array([[1.0, 2.0], [1.0, 5.0]])
+    annotations = Annotations(stations={"s": station}, cuts={"A": cut})
+    # The letter stands one room beyond the end of its line.
+    expected = (-2.1, 4.1, -0.1, 5.2)
+    assert _around(scan, annotations, 0.1) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("length", "apart", "labels"),
+    # Lines above 9 mm on paper have a height, unless another one is as near.
+    [(8.9e-3, 0.02, 0), (9.1e-3, 0.02, 2), (0.02, 8.9e-3, 1), (0.02, 9.1e-3, 2)],
+)
+def test_heights_of_contours_are_apart_on_paper(length, apart, labels) -> None:
+    axis = Figure().add_subplot()
+    scale = 10.0
+    along = np.linspace(0.0, length * scale, 21)
+    contours = [
+        Contour(
+            level=level,
+            points=np.stack([along, np.full(21, level_y)], axis=1),
+            uncertainty=1e-3,
+        )
+        for level, level_y in ((-1.25, 0.0), (-1.2, apart * scale))
+    ]
+    _contour_lines(axis, contours, scale)
+    assert len(axis.lines) == 2
+    assert [text.get_text() for text in axis.texts] == ["-1.25", "-1.2"][:labels]
+    for text in axis.texts:
+        assert text.get_position()[0] == pytest.approx(length * scale / 2)
+
+
+@pytest.mark.parametrize(
+    ("direction", "rotation"), [(0, 0), (45, 45), (90, -90), (135, -45), (180, 0)]
+)
+def test_a_label_reads_from_left_to_right(direction, rotation) -> None:
+    axis = Figure().add_subplot()
+    angle = np.radians(direction)
+    points = np.linspace(0, 1, 9)[:, None] * [np.cos(angle), np.sin(angle)]
+    _label(axis, points, "1.2")
+    (text,) = axis.texts
+    # Upwards and downwards are both upright.
+    off = (text.get_rotation() - rotation + 90) % 180 - 90
+    assert off == pytest.approx(0, abs=1e-6)
+    turned = (text.get_rotation() + 180) % 360 - 180
+    assert -90.001 < turned < 90.001
+    assert text.get_position() == pytest.approx(tuple(points[4]))
