@@ -99,12 +99,14 @@ def line_of(
     interval=0.05,
     emitter=(0.0, 0.0, 0.0),
     bed=rough_bed,
+    trace=distances,
 ) -> dict:
     """Ranges of a line scanner, and the recorded track of its vehicle.
 
     `angles` and `bend` are nominal heading, pitch and roll of the instrument, and its
     rotation away from them. `errors` has the standard deviations: `shift` [m],
-    `position_walk` [m per root second], `attitude_walk` [rad per root second].
+    `position_walk` [m per root second], `attitude_walk` [rad per root second]. `trace`
+    follows rays to the bed.
     """
     duration = vehicle.duration
     time = duration * (np.arange(rows * columns) + 0.5) / (rows * columns)
@@ -116,7 +118,7 @@ def line_of(
     sight = turn @ (LEVEL.T @ attitude(*angles) @ small_turns(np.array(bend)))
     start = place + turn @ np.array(arm) + sight @ np.array(emitter)
     beam = np.einsum("nij,nj->ni", sight, away)
-    true = distances(start, beam, bed)
+    true = trace(start, beam, bed)
     # Poses before and after the line, so that the clock may be off.
     stamps = np.arange(-1.0, duration + 1.0, interval)
     position, rotation = vehicle.at(stamps)

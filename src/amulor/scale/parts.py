@@ -90,7 +90,8 @@ def chain(task: Task) -> tuple[Step, ...]:
     )
     for name, tiled in steps_of_scan.items():
         current = add(f"{name}.nc", tiled.how, tiled)
-    add("cloud.ply", {"step": "cloud"})
+    if not task.moves:
+        add("cloud.ply", {"step": "cloud"})
     return tuple(steps)
 
 

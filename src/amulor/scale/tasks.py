@@ -52,6 +52,8 @@ class Task:
     tile_rows: int | None = None
     """Rows of a tile; None for a quarter of a million
     samples."""
+    moves: bool = False
+    """Whether the instrument moved during the scan: no cloud in its own axes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +88,7 @@ def tasks_of(
                 folder=str((output / scan.name).resolve()),
                 started=started,
                 tile_rows=tile_rows,
+                moves=scan.trajectory is not None,
             )
         )
     return tuple(tasks)

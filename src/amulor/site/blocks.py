@@ -8,6 +8,7 @@ square root of their number, and their common errors.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,6 +28,7 @@ from amulor.site.description import (
     Site,
     SphereTarget,
 )
+from amulor.site.registration.line import row_of_image, rows_of_scan
 from amulor.site.registration.surface import ScanSurface, usable_pixels
 
 Floats = NDArray[np.float64]
@@ -69,8 +71,9 @@ def block_size(site: Site, name: str, image: xr.Dataset) -> int:
                 width = target.diameter
             else:
                 width = target.width
+            row = row_of_image(image.attrs, place.row)
             near = distance[
-                max(place.row - 2, 0) : place.row + 3,
+                max(row - 2, 0) : row + 3,
                 max(place.column - 2, 0) : place.column + 3,
             ]
             if np.isfinite(near).any():
@@ -162,6 +165,21 @@ def averaged(image: xr.Dataset, size: int) -> xr.Dataset:
             angles[name] = coarse[name].copy(
                 data=center + off.mean(axis=1).reshape(rows, columns)
             )
+    for name in ("time", "reading_time", "reading_duration"):
+        if name in image.coords:
+            whole = np.asarray(image[name].values, dtype=float)
+            instants = whole.reshape(-1, *whole.shape[-2:])
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # empty blocks
+                middles = [
+                    np.nanmean(blocks(time).astype(float), axis=1) for time in instants
+                ]
+            times = np.reshape(middles, (*whole.shape[:-2], rows, columns))
+            angles[name] = xr.DataArray(
+                times, dims=image[name].dims, attrs=image[name].attrs
+            )
+    if "reading_weight" in image.coords:
+        angles["reading_weight"] = image["reading_weight"]
     coarse = coarse.assign(changed).assign_coords(angles)
     coarse.attrs |= {
         BLOCK: size, COLUMNS: image.sizes["column"], BRIGHTEST: brightest
@@ -192,6 +210,7 @@ def block_side(attributes: Mapping[Any, object]) -> int:
 def block_of(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
     """Return row and column of the block that contains a pixel of the scan."""
     size = block_side(image.attrs)
+    row = row_of_image(image.attrs, row)
     rows, columns = image["slant_range"].shape
     return min(row // size, rows - 1), min(column // size, columns - 1)
 
@@ -199,9 +218,9 @@ def block_of(image: xr.Dataset, row: int, column: int) -> tuple[int, int]:
 def pixels_of_scan(surface: ScanSurface, pixel: Numbers) -> Numbers:
     """Return the numbers of the scan's pixels at the centers of given blocks."""
     size = block_side(surface.attributes)
-    if size == 1:
-        return pixel
     row, column = np.divmod(pixel, surface.distance.shape[1])
-    width = int(str(surface.attributes[COLUMNS]))
-    center = (row * size + size // 2) * width + column * size + size // 2
-    return np.asarray(center)
+    width = surface.distance.shape[1]
+    if size > 1:
+        width = int(str(surface.attributes[COLUMNS]))
+        row, column = row * size + size // 2, column * size + size // 2
+    return np.asarray(rows_of_scan(surface.attributes, row) * width + column)

@@ -16,6 +16,7 @@ from amulor.errors import AmulorError
 from amulor.imaging.observation import geometry_of
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import WHAT_TO_DO, check_level, refuse_vehicle
+from amulor.site.registration.line import motion_of
 from amulor.site.registration.starts import start_findings
 from amulor.survey import Survey
 
@@ -61,11 +62,11 @@ def check(site: Site) -> Findings:
             continue
         levels[scan.name] = str(cube.attrs.get("level", ""))
         shapes[scan.name] = (cube.sizes.get("row", 0), cube.sizes.get("column", 0))
-        errors, notes = _scan_findings(scan, cube)
+        errors, notes = _scan_findings(site, scan, cube)
         mistakes += errors
         remarks += notes
         mistakes += _places_without_range(site, scan, cube)
-        if levels[scan.name] == "range_image":
+        if levels[scan.name] == "range_image" and scan.trajectory is None:
             clouds[scan.name] = _points(cube)
     starts = start_findings(site, clouds)
     mistakes += starts.mistakes
@@ -77,14 +78,19 @@ def check(site: Site) -> Findings:
     )
 
 
-def _scan_findings(scan: SiteScan, cube: xr.Dataset) -> tuple[list[str], list[str]]:
+def _scan_findings(
+    site: Site, scan: SiteScan, cube: xr.Dataset
+) -> tuple[list[str], list[str]]:
     """Return errors and notes about a single scan."""
     errors: list[str] = []
     notes: list[str] = []
     level = str(cube.attrs.get("level", ""))
     try:
         check_level(level, processed=scan.processing is not None, name=scan.name)
-        refuse_vehicle(cube, name=scan.name)
+        if scan.trajectory is None:
+            refuse_vehicle(cube, name=scan.name)
+        elif level == "range_image":
+            motion_of(site, scan, cube)
     except AmulorError as error:
         errors.append(str(error))
     if scan.water is not None:
@@ -156,7 +162,11 @@ def _places_without_range(
 
 def _untied_scans(site: Site) -> Iterator[str]:
     """Yield a message for each scan that neither a start pose nor targets can place."""
-    placed = {scan.name for scan in site.scan if scan.start is not None}
+    placed = {
+        scan.name
+        for scan in site.scan
+        if scan.start is not None or scan.trajectory is not None
+    }
     controlled = {scan.target for scan in site.control}
     if not placed and len(controlled) < _ENOUGH:
         placed = {site.scan[0].name}  # then the first scan defines the frame

@@ -116,6 +116,24 @@ def _unknown_as_none(value: Any) -> Any:
     return None if value == "unknown" else value
 
 
+class SiteTrajectory(Description):
+    """Trajectory of the vehicle that carried the instrument during a scan."""
+
+    file: Path
+    """Trajectory of `amulor import trajectory`, `acquire` or `simulate`; relative to
+    the site file."""
+    mounting: Path | None = None
+    """File with the mounting of the instrument; by default from the survey of the
+    scan."""
+    position_drift: Annotated[Length, Field(ge=0, le=10)] | None = None
+    """Standard uncertainty of half the change of the position errors from the first to
+    the last row. By default their random walk has the change of the stated uncertainty
+    along the line; if it does not change, the stated uncertainty [m]."""
+    attitude_drift: Annotated[Angle, Field(ge=0, le=0.5)] | None = None
+    """Standard uncertainty of half the change of the attitude errors about each axis;
+    by default as for the position [rad]."""
+
+
 class SiteScan(Description):
     """Scan of the site, with its file, visit and start pose."""
 
@@ -129,6 +147,8 @@ class SiteScan(Description):
     start: Annotated[StartPose | None, BeforeValidator(_unknown_as_none)] = None
     """Approximate pose of the instrument, with uncertainties; "unknown" if targets in
     other scans or control points determine it."""
+    trajectory: SiteTrajectory | None = None
+    """Trajectory of the vehicle of a moving scan (line), in place of a start pose."""
     trusted: bool = False
     """Whether the scan is merged and compared although no other data check its pose,
     for example because its start pose is surveyed."""
@@ -351,6 +371,20 @@ class Site(Description):
                         f"{where}: scan.{number}.{field}: found {str(path)!r}, but "
                         f"there is no such file in {folder.resolve()}"
                     )
+            if scan.trajectory is not None:
+                line: dict[str, Any] = {}
+                for field in ("file", "mounting"):
+                    path = getattr(scan.trajectory, field)
+                    if path is None:
+                        continue
+                    line[field] = (folder / path).resolve()
+                    if not line[field].is_file():
+                        lacking.append(
+                            f"{where}: scan.{number}.trajectory.{field}: found "
+                            f"{str(path)!r}, but there is no such file in "
+                            f"{folder.resolve()}"
+                        )
+                paths["trajectory"] = scan.trajectory.model_copy(update=line)
             scans.append(scan.model_copy(update=paths))
         if lacking:
             raise SurveyError("\n".join(lacking))
@@ -369,6 +403,19 @@ def _contradictions(site: Site) -> Iterator[str]:
     for item in site.scan:
         if item.epoch not in epochs:
             yield f"scan {item.name!r}: epoch {_unknown(item.epoch, epochs, 'epoch')}"
+        if item.trajectory is None:
+            continue
+        if item.start is not None:
+            yield (
+                f"scan {item.name!r}: has a trajectory and a start pose; remove "
+                "[scan.start], because the trajectory states the poses"
+            )
+        if item.simulated_from is not None:
+            yield (
+                f"scan {item.name!r}: amulor run does not simulate lines; simulate it "
+                "with amulor simulate, which writes the trajectory, and remove "
+                "simulated_from"
+            )
     points = [item.name for item in site.target if not isinstance(item, ScaleBar)]
     for target in site.target:
         if isinstance(target, ScaleBar):

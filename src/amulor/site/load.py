@@ -11,6 +11,7 @@ from amulor import io, pipeline
 from amulor.errors import CubeError
 from amulor.imaging.observation import readable_survey
 from amulor.site.description import Processing, SiteScan
+from amulor.site.registration.line import by_direction
 
 #: Remedy for a scan whose error is unknown.
 WHAT_TO_DO = (
@@ -20,8 +21,15 @@ WHAT_TO_DO = (
 
 
 def range_image_of(scan: SiteScan) -> xr.Dataset:
-    """Return the range image of a scan, with mixed pixels and outliers flagged."""
-    return as_image(io.read_cube(scan.file), processing=scan.processing, name=scan.name)
+    """Return the range image of a scan, with mixed pixels and outliers flagged.
+
+    A line has its rows sorted by the direction of the beam.
+    """
+    cube = io.read_cube(scan.file)
+    if scan.trajectory is None:
+        refuse_vehicle(cube, name=scan.name)
+    image = as_image(cube, processing=scan.processing, name=scan.name)
+    return image if scan.trajectory is None else by_direction(image)
 
 
 def check_level(level: str, *, processed: bool, name: str) -> None:
@@ -46,8 +54,7 @@ def refuse_vehicle(cube: xr.Dataset, *, name: str) -> None:
     if survey is not None and survey.platform is not None:
         raise CubeError(
             f"scan {name!r}: its survey has a section [platform], so each pixel has a "
-            "pose of its own, but a site takes scans from a fixed instrument; write "
-            "its cloud with amulor export --trajectory, and leave it out of the site"
+            "pose of its own; state the file of its trajectory in [scan.trajectory]"
         )
 
 
@@ -69,7 +76,6 @@ def as_image(
     """Process a scan's cube to a range image; raise if its range errors are unknown."""
     level = str(cube.attrs.get("level", ""))
     check_level(level, processed=processing is not None, name=name)
-    refuse_vehicle(cube, name=name)
     try:
         image = pipeline.run(cube, **options_of(processing))
     except ValueError as error:

@@ -157,7 +157,7 @@ def test_a_cube_that_is_no_image_needs_to_be_told_how(folder: Path) -> None:
     assert any("'point_cloud'" in line for line in found.mistakes)
 
 
-def test_a_scan_from_a_vehicle_is_no_scan_of_a_site(folder: Path) -> None:
+def test_a_scan_from_a_vehicle_needs_its_trajectory(folder: Path) -> None:
     example = Path(__file__).parents[3] / "examples" / "vehicle" / "amphora.toml"
     survey = Survey.from_toml(example).to_toml()
     image = io.read_cube(folder / "left.nc").assign_attrs(survey=survey)
@@ -165,7 +165,7 @@ def test_a_scan_from_a_vehicle_is_no_scan_of_a_site(folder: Path) -> None:
     site = Site.from_toml(folder / "site.toml")
     (mistake,) = check(site).mistakes
     assert "'left'" in mistake
-    assert "amulor export --trajectory" in mistake
+    assert "[scan.trajectory]" in mistake
     with pytest.raises(CubeError, match=r"section \[platform\]"):
         range_image_of(site.scan[0])
 

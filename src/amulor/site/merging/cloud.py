@@ -46,15 +46,8 @@ def seen_by_others(
         if peer == name or not len(point):
             continue
         local = poses[peer].back(point)
-        middle = surface.origin[surface.usable].mean(axis=0)
-        away = local - middle
-        distance = np.linalg.norm(away, axis=1)
         pixels = np.flatnonzero(surface.usable)
-        tree = cKDTree(surface.direction.reshape(-1, 3)[pixels])
-        near, number = tree.query(
-            away / np.maximum(distance, 1e-9)[:, None],
-            distance_upper_bound=6 * surface.spacing / np.nanmedian(surface.distance),
-        )
+        near, number = _nearest_beams(surface, local, pixels)
         met = np.flatnonzero(np.isfinite(near))
         if not len(met):
             continue
@@ -71,6 +64,29 @@ def seen_by_others(
         before = at.distance < -3 * surface.spacing
         through[met] += good & (score < -_THROUGH) & before
     return confirmed, through
+
+
+def _nearest_beams(
+    surface: ScanSurface, points: Floats, pixels: NDArray[np.intp]
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the distance to the nearest beam of each point, and its place in `pixels`.
+
+    Distances are infinite for points far from all beams.
+    """
+    if surface.motion is not None:
+        # Beams from many places: the nearest point is near the beam.
+        tree = cKDTree(surface.position.reshape(-1, 3)[pixels])
+        reach = 0.5 * float(np.nanmedian(surface.distance))
+        away, number = tree.query(points, distance_upper_bound=reach)
+        return np.asarray(away), np.asarray(number)
+    away = points - surface.origin[surface.usable].mean(axis=0)
+    distance = np.linalg.norm(away, axis=1)
+    tree = cKDTree(surface.direction.reshape(-1, 3)[pixels])
+    near, number = tree.query(
+        away / np.maximum(distance, 1e-9)[:, None],
+        distance_upper_bound=6 * surface.spacing / np.nanmedian(surface.distance),
+    )
+    return np.asarray(near), np.asarray(number)
 
 
 Flags = NDArray[np.bool_]
@@ -134,7 +150,7 @@ class Merged:
 
 def unknowns_of(scan: str, surface: ScanSurface) -> tuple[str, ...]:
     """Return the names of the fitted unknowns on which a scan's points depend."""
-    return (f"pose {scan}", *(f"error {key}" for key in surface.shared.keys))
+    return (f"pose {scan}", *(f"error {key}" for key in surface.keys))
 
 
 def by_unknowns(
@@ -142,19 +158,25 @@ def by_unknowns(
 ) -> Floats:
     """Return derivatives of a scan's points with respect to pose and shared errors."""
     beam = pose.turn(surface.direction.reshape(-1, 3)[pixel])
-    shapes = surface.shared.shapes.reshape(len(surface.shared.keys), -1)[:, pixel]
-    return derivatives(pose, position, beam, shapes)
+    number = len(surface.shared.keys)
+    shapes = surface.shared.shapes.reshape(number, surface.distance.size)[:, pixel]
+    moved = surface.moved(pixel, pose.back(position))
+    return derivatives(pose, position, beam, shapes, moved)
 
 
 def derivatives(
-    pose: ScanPose, position: Floats, beam: Floats, shapes: Floats
+    pose: ScanPose, position: Floats, beam: Floats, shapes: Floats, moved: Floats
 ) -> Floats:
-    """Return derivatives of points with respect to pose and shared errors."""
+    """Return derivatives of points with respect to pose and shared errors.
+
+    `moved` are the shifts by errors of a moving instrument, in its axes.
+    """
     return np.concatenate(
         [
             np.broadcast_to(np.eye(3), (len(position), 3, 3)),
             -cross_matrix(position - pose.position),
             -beam[:, :, None] * shapes.T[:, None, :],
+            -np.transpose(moved @ pose.rotation.T, (1, 2, 0)),
         ],
         axis=2,
     )

@@ -24,6 +24,7 @@ from amulor.site.merging.cloud import (
     seen_by_others,
     unknowns_of,
 )
+from amulor.site.registration.line import Motion, motion_of, straightened
 from amulor.site.registration.result import Registration
 from amulor.site.registration.surface import ScanSurface, usable_pixels
 
@@ -51,8 +52,9 @@ def all_points(
     for number, scan in enumerate(scans):
         tell(f"points of {scan.name}", number / len(scans))
         if scan.name in coarse:
-            image = range_image_of(scan)
-            yield from _pieces(cloud, registration, surfaces, number, image)
+            yield from _pieces(
+                cloud, registration, surfaces, number, *_fine(cloud, surfaces, number)
+            )
         else:
             yield cloud.of(cloud.scan == number)
 
@@ -67,9 +69,24 @@ def scan_clouds(
     for number, scan in enumerate(cloud.site.scan):
         points, image = cloud, images[scan.name]
         if block_side(surfaces[scan.name].attributes) > 1:
-            image = range_image_of(scan)
-            points = joined(list(_pieces(cloud, registration, surfaces, number, image)))
+            image, motion = _fine(cloud, surfaces, number)
+            points = joined(
+                list(_pieces(cloud, registration, surfaces, number, image, motion))
+            )
         yield scan_cloud(points, number, registration, image)
+
+
+def _fine(
+    cloud: Merged, surfaces: Mapping[str, ScanSurface], number: int
+) -> tuple[xr.Dataset, Motion | None]:
+    """Return the range image of an averaged scan with all pixels, and its motion."""
+    scan = cloud.site.scan[number]
+    image = range_image_of(scan)
+    motion, coarse = motion_of(cloud.site, scan, image), surfaces[scan.name].motion
+    if motion is None or coarse is None:
+        return image, None
+    motion = replace(motion, start=coarse.start)
+    return straightened(image, motion), motion
 
 
 def joined(pieces: Sequence[Merged]) -> Merged:
@@ -88,6 +105,7 @@ def _pieces(
     surfaces: Mapping[str, ScanSurface],
     number: int,
     image: xr.Dataset,
+    motion: Motion | None,
 ) -> Iterator[Merged]:
     """Yield the points of one scan, some rows of pixels at a time."""
     scan = cloud.site.scan[number]
@@ -118,7 +136,7 @@ def _pieces(
         block = block_near[tuple(at_block)]
         alone = ~surface.usable[tuple(at_block)]
         yield _points(
-            cloud, registration, surfaces, number, part, usable,
+            cloud, registration, surfaces, number, part, usable, motion,
             block=block, member=place[block], alone=alone, peers=peers,
             pixel=(row + begin) * width + column,
         )  # fmt: skip
@@ -131,6 +149,7 @@ def _points(
     number: int,
     image: xr.Dataset,
     usable: NDArray[np.bool_],
+    motion: Motion | None,
     *,
     block: NDArray[np.intp],
     member: NDArray[np.intp],
@@ -144,7 +163,7 @@ def _points(
     distance = image["slant_range"].values[usable]
     count = len(surface.shared.keys)
     shapes, growth = (
-        values.reshape(count, -1)[:, block]
+        values.reshape(count, surface.distance.size)[:, block]
         for values in (surface.shared.shapes, surface.shared.growth)
     )
     shapes = shapes + growth * (distance - surface.distance.ravel()[block])
@@ -154,10 +173,17 @@ def _points(
     direction = np.broadcast_to(beams.direction, (*usable.shape, 3))[usable]
     entry = np.broadcast_to(beams.entry, (*usable.shape, 3))[usable]
     local = entry + (distance - errors @ shapes - before)[:, None] * direction
+    moved = np.zeros((0, len(local), 3))
+    if motion is not None:
+        moved = motion.shifts(pixel, local)
+        by_poses = [registration.errors.get(key, 0.0) for key in motion.keys]
+        local = local - np.tensordot(by_poses, moved, axes=1)
     position, beam = pose.place(local), pose.turn(direction)
     sigma = np.sqrt(own_variance(image))[usable]
+    if motion is not None:
+        sigma = np.hypot(sigma, motion.own.ravel()[pixel])
     spread = covariances(
-        derivatives(pose, position, beam, shapes),
+        derivatives(pose, position, beam, shapes, moved),
         registration.covariance_of(*unknowns_of(name, surface)), sigma, beam,
     )  # fmt: skip
     confirmed, moving = cloud.confirmed[member], cloud.moving[member]

@@ -118,9 +118,7 @@ def align(
             loose = np.diag([_ANYWHERE**2] * 3 + [_ANYHOW**2] * 3)
             start[name] = KnownPose(pose=poses[name], covariance=loose)
     ties = replace(ties, start={k: v for k, v in start.items() if k != ties.fixed})
-    keys = dict.fromkeys(
-        key for surface in surfaces.values() for key in surface.shared.keys
-    )
+    keys = dict.fromkeys(key for surface in surfaces.values() for key in surface.keys)
     keys |= dict.fromkeys(key for centre in ties.centres for key in centre.shared)
     points = _first_positions(ties, poses)
     state = State(poses, points, dict.fromkeys(keys, 0.0))

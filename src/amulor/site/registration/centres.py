@@ -87,6 +87,11 @@ def _centre(
         key: np.asarray(gain @ shape)
         for key, shape in zip(surface.shared.keys, shapes, strict=True)
     }
+    if surface.motion is not None:
+        numbers = np.flatnonzero(pixels)
+        centres = np.broadcast_to(position, (len(numbers), 3))
+        moved = surface.moved(numbers, centres).mean(axis=1)
+        shared |= dict(zip(surface.motion.keys, moved, strict=True))
     return Centre(
         target=target.name,
         scan=surface.name,

@@ -166,7 +166,7 @@ def compared(
     if int(good.sum()) < 20:
         return None
     pivot = placed[good].mean(axis=0)
-    keys = tuple(dict.fromkeys((*source.shared.keys, *target.shared.keys)))
+    keys = tuple(dict.fromkeys((*source.keys, *target.keys)))
     window = _window(target, at.pixel, at.off)
     noises = [one.own.ravel() for one in (source, target)]
     # Derivatives must be independent of the noise of the distances, also through the
@@ -182,13 +182,16 @@ def compared(
         gradient = normal / _dot(normal, sight)[:, None]
         along = _dot(gradient, beam)
         by_errors = np.zeros((len(pixel), len(keys)))
-        for scan, pose, number, factor in (
-            (source, poses[0], pixel, -along),
-            (target, poses[1], on.pixel, np.ones(len(pixel))),
+        for scan, pose, number, factor, sign in (
+            (source, poses[0], pixel, -along, -1.0),
+            (target, poses[1], on.pixel, np.ones(len(pixel)), 1.0),
         ):
-            shapes = _shapes_at(scan, number, pose.back(spot))
-            for key, shape in zip(scan.shared.keys, shapes, strict=True):
-                by_errors[:, keys.index(key)] += shape * factor
+            of_ranges = _shapes_at(scan, number, pose.back(spot)) * factor
+            moved = scan.moved(number, pose.back(spot)) @ pose.rotation.T
+            of_poses = sign * np.einsum("kni,ni->kn", moved, gradient)
+            shapes = np.concatenate([of_ranges, of_poses])
+            for key, shape in zip(scan.keys, shapes, strict=True):
+                by_errors[:, keys.index(key)] += shape
         rows.append(np.hstack([gradient, np.cross(spot - pivot, gradient), by_errors]))
         alongs.append(along)
     noise = alongs[0] * noises[0][pixel]
@@ -387,7 +390,7 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
     """
     count = len(scan.shared.keys)
     shapes, growth = (
-        values.reshape(count, -1)[:, pixel]
+        values.reshape(count, scan.distance.size)[:, pixel]
         for values in (scan.shared.shapes, scan.shared.growth)
     )
     start, ahead = (

@@ -104,6 +104,8 @@ def pattern_values(surface: ScanSurface) -> Floats:
     row, column = np.meshgrid(
         *(np.linspace(-1, 1, size) for size in shape), indexing="ij"
     )
+    if surface.motion is not None:
+        row = np.nan_to_num(2 * surface.motion.course - 1)
     facing = np.abs(np.einsum("ijk,ijk->ij", surface.normal, surface.direction))
     values = [
         np.ones(shape),

@@ -20,6 +20,7 @@ from amulor.site.registration.absolute import scale_tests, water_indices
 from amulor.site.registration.align import Alignment, align, squared_pull
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.landmarks import common_relief
+from amulor.site.registration.line import motion_of, straightened
 from amulor.site.registration.network import (
     Centre,
     KnownDistance,
@@ -95,9 +96,11 @@ def surfaces_of(
         tell(f"reading {scan.name}", number / len(site.scan))
         image = range_image_of(scan)
         image = averaged(image, block_size(site, scan.name, image))
+        surface = surface_of(site, scan, image)
         if images_of is None or scan.name in images_of:
-            images[scan.name] = image
-        surfaces[scan.name] = surface_of(site, scan, image)
+            motion = surface.motion
+            images[scan.name] = image if motion is None else straightened(image, motion)
+        surfaces[scan.name] = surface
     return surfaces, images
 
 
@@ -105,15 +108,21 @@ def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
     """Return the surface of one scan of a site."""
     # Without a statement all scans of a visit are in one water.
     water = str(scan.water or _water_in(image) or "water")
+    motion = motion_of(site, scan, image)
     shared = shared_errors(
         image,
         scan=scan.name,
         instrument=f"{scan.instrument}, {scan.epoch}",
         water=f"{water}, {scan.epoch}",
         drift=scan.drift,
+        course=None if motion is None else motion.course,
     )
     return scan_surface(
-        image, name=scan.name, shared=shared, window=site.registration.window
+        image if motion is None else straightened(image, motion),
+        name=scan.name,
+        shared=shared,
+        window=site.registration.window,
+        motion=motion,
     )
 
 
@@ -199,6 +208,11 @@ def _registered(
             pose = start_pose(scan.start)
             start[scan.name] = KnownPose(
                 pose=pose, covariance=start_covariance(scan.start, pose)
+            )
+        motion = surfaces[scan.name].motion
+        if motion is not None:
+            start[scan.name] = KnownPose(
+                pose=motion.start, covariance=motion.covariance
             )
     control = {}
     for item in site.control:
@@ -466,7 +480,12 @@ def _sight_contradictions(
     """Yield a contradiction for each scan that looks through surfaces of its visit."""
     pairs: list[Sight] = []
     for epoch in site.epoch:
-        scans = [scan.name for scan in site.scans_of(epoch.name)]
+        # The beams of a line come from many places.
+        scans = [
+            scan.name
+            for scan in site.scans_of(epoch.name)
+            if surfaces[scan.name].motion is None
+        ]
         looks = looks_of(result, surfaces, scans)
         pairs += pairs_seen_through(looks)
         for absence in absent_points(looks, surfaces, result):

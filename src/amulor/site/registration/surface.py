@@ -17,6 +17,7 @@ from amulor.errors import CubeError
 from amulor.imaging.common import own_variance
 from amulor.imaging.observation import geometry_of
 from amulor.optics import ranging
+from amulor.site.registration.line import Motion
 
 Floats = NDArray[np.float64]
 
@@ -42,14 +43,20 @@ class Shared:
 
 
 def shared_errors(
-    image: xr.Dataset, *, scan: str, instrument: str, water: str, drift: float = 0.0
+    image: xr.Dataset,
+    *,
+    scan: str,
+    instrument: str,
+    water: str,
+    drift: float = 0.0,
+    course: Floats | None = None,
 ) -> Shared:
     r"""Return the range errors that the pixels of a scan have in common.
 
     Since :math:`\cos(a - b) = \cos a \cos b + \sin a \sin b`, correlations by reference
     and water are sums of products of shapes: terms of the reference polynomial times
     cosine and sine of the phase at each frequency. Few principal components of these
-    suffice.
+    suffice. `course` is the share of the scan at each pixel, by default of its row.
     """
     distance = image["slant_range"].values
     measured = np.isfinite(distance)
@@ -69,9 +76,11 @@ def shared_errors(
                 shapes.append(term)
                 growth.append(_POWER[name] * term / reach)
     if drift > 0:
-        course = np.linspace(-drift, drift, distance.shape[0])[:, None]
+        if course is None:
+            course = np.linspace(0.0, 1.0, distance.shape[0])[:, None]
         keys.append(f"drift: {scan}")
-        shapes.append(np.where(measured, course, 0.0))
+        change = drift * np.nan_to_num(2 * course - 1)
+        shapes.append(np.where(measured, change, 0.0))
         growth.append(np.zeros(distance.shape))
     components: list[tuple[Floats, Floats]] = []
     turns = _turns(image, reach)
@@ -208,6 +217,19 @@ class ScanSurface:
     [1]."""
     attributes: dict[str, object]
     """Attributes of the range image, and its group index."""
+    motion: Motion | None = None
+    """Motion of the instrument during a line; None for a fixed instrument."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of all errors that pixels share: of ranges, then of the poses."""
+        return (*self.shared.keys, *(() if self.motion is None else self.motion.keys))
+
+    def moved(self, pixel: Numbers, points: Floats) -> Floats:
+        """Return shifts of points by the errors of a moving instrument, (k, n, 3)."""
+        if self.motion is None:
+            return np.zeros((0, len(pixel), 3))
+        return self.motion.shifts(pixel, points)
 
     @property
     def position(self) -> Floats:
@@ -256,7 +278,14 @@ def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
     estimates = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
     off = np.tensordot(estimates, surface.shared.shapes, axes=1)
     distance = surface.distance - off
-    return np.asarray(surface.origin + distance[..., None] * surface.direction)
+    points = np.asarray(surface.origin + distance[..., None] * surface.direction)
+    if surface.motion is not None:
+        pixel = np.flatnonzero(surface.usable)
+        by_poses = np.array([errors.get(key, 0.0) for key in surface.motion.keys])
+        flat = points.reshape(-1, 3)
+        shift = np.tensordot(by_poses, surface.moved(pixel, flat[pixel]), axes=1)
+        flat[pixel] -= shift
+    return points
 
 
 def usable_pixels(image: xr.Dataset) -> Flags:
@@ -268,7 +297,12 @@ def usable_pixels(image: xr.Dataset) -> Flags:
 
 
 def scan_surface(
-    image: xr.Dataset, *, name: str, shared: Shared, window: int = 7
+    image: xr.Dataset,
+    *,
+    name: str,
+    shared: Shared,
+    window: int = 7,
+    motion: Motion | None = None,
 ) -> ScanSurface:
     r"""Compute the surface of a range image: patches, normals and shared errors.
 
@@ -287,6 +321,8 @@ def scan_surface(
     before = np.broadcast_to(beam.length_before, distance.shape)
     origin = beam.entry - before[..., None] * direction
     noise = np.sqrt(own_variance(image))
+    if motion is not None:
+        noise = np.hypot(noise, motion.own)
     powers = _powers(_DEGREE if window > _DEGREE else 2)
     kernels, plain = _kernels(window, powers), _kernels(window, _powers(2))
     inverse = np.where(usable, 1 / np.where(usable, distance, 1.0), 0.0)
@@ -331,6 +367,7 @@ def scan_surface(
         normal=_normals(steps, direction, low, reach, smooth),
         attributes={str(key): value for key, value in image.attrs.items()}
         | {"group_index": float(image["geometry"].attrs["group_index"])},
+        motion=motion,
     )
 
 

@@ -1,0 +1,314 @@
+"""Lines: scans from a moving vehicle, in one frame, with the errors of their poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from amulor.cube import QualityFlag
+from amulor.cube.schema import LEVELS, WINDOW_ATTRIBUTES
+from amulor.errors import AmulorError, CubeError
+from amulor.imaging.moving import MovingFrame, moving_frame
+from amulor.imaging.observation import geometry_of
+from amulor.io.trajectories import read_trajectory
+from amulor.platform import InstrumentPoses, Trajectory, read_mounting
+from amulor.platform.attitude import cross_matrix
+from amulor.platform.mounting import error_factors
+from amulor.site.registration.pose import ScanPose
+from amulor.survey.platform import Mounting
+
+if TYPE_CHECKING:
+    from amulor.site.description import Site, SiteScan, SiteTrajectory
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+#: Number of forms of a drift along the line; the rest of a random walk is 0.09 of it.
+_FORMS = 12
+#: Empty rows between rows of both directions; more than pixels of a block.
+_BETWEEN = 8
+#: Attribute: number of each row in the scan, for rows sorted by direction [1].
+ROWS = "rows_of_scan"
+_AXES = ("east", "north", "up")
+_MOUNTING = (
+    "lever arm right", "lever arm down", "lever arm forward", "boresight right",
+    "boresight down", "boresight forward", "clock offset", "clock drift",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    r"""Motion of the instrument during a line, and the errors of its poses.
+
+    The pose in the middle of the line carries the constant errors of the trajectory.
+    Errors that change along the line are forms times random factors, as those of the
+    ranges. A random walk has the forms :math:`\sqrt 2 \cos(k \pi s) / k \pi` over the
+    share s of the line (Karhunen-Loeve).
+    """
+
+    start: ScanPose
+    """Pose in the middle of the line, by trajectory and mounting."""
+    covariance: Floats
+    """Covariance of this pose: translation and rotation about site axes, (6, 6)."""
+    keys: tuple[str, ...]
+    """Name of the factor of each error; lines with an equal key share the factor."""
+    poses: InstrumentPoses
+    """Poses of the instrument by the trajectory, row by row."""
+    course: Floats
+    """Share of the line at each pixel, from 0 to 1, shape (row, column) [1]."""
+    mounting: Floats
+    """Mounting change by one sigma of each of its errors, shape (error, 8)."""
+    drift: tuple[float, float]
+    """Random walk along the line: of position [m] and attitude [rad]."""
+    bend: float
+    """Shift of the ends of the line by a constant error of the attitude [m]."""
+    own: Floats
+    """Standard uncertainty of the range by the change during a reading, shape (row,
+    column) [m]."""
+
+    def shifts(self, pixel: Numbers, points: Floats) -> Floats:
+        """Return shifts of points by one sigma of each error, shape (k, n, 3) [m].
+
+        Points and shifts are in the axes of the pose in the middle of the line.
+        """
+        poses = self.poses.part(pixel)
+        place = self.start.place(points)
+        share = self.course.ravel()[pixel]
+        parts = []
+        if len(self.mounting):
+            derivatives = poses.derivatives(place)
+            parts.append(np.einsum("ek,kni->eni", self.mounting, derivatives))
+        if self.bend > 0:
+            end = self.bend * (2 * share - 1)
+            parts.append(end[None, :, None] * np.eye(3)[:, None, :])
+        forms = [
+            np.sqrt(2) / (k * np.pi) * np.cos(k * np.pi * share)
+            for k in range(1, _FORMS + 1)
+        ]
+        if self.drift[0] > 0:
+            parts += [
+                self.drift[0] * form[None, :, None] * np.eye(3)[:, None, :]
+                for form in forms
+            ]
+        if self.drift[1] > 0:
+            turns = -cross_matrix(place - poses.vehicle.position)
+            turns = np.moveaxis(turns, -1, 0)  # by the rotation about each axis
+            parts += [self.drift[1] * form[None, :, None] * turns for form in forms]
+        if not parts:
+            return np.zeros((0, len(pixel), 3))
+        return np.asarray(np.concatenate(parts) @ self.start.rotation)
+
+
+def motion_of(site: Site, scan: SiteScan, image: xr.Dataset) -> Motion | None:
+    """Return the motion of the instrument during a scan; None on a fixed instrument."""
+    line = scan.trajectory
+    if line is None:
+        return None
+    try:
+        mounting = None if line.mounting is None else read_mounting(line.mounting)
+        track = _in_frame(read_trajectory(line.file), site)
+        frame = moving_frame(image, trajectory=track, mounting=mounting)
+    except AmulorError as error:
+        raise CubeError(f"scan {scan.name!r}: {error}") from None
+    if frame.unknown:
+        raise CubeError(
+            f"scan {scan.name!r}: nobody states the uncertainty of the "
+            f"{', '.join(frame.unknown)}; state it in the columns of amulor import "
+            "trajectory, or in the mounting"
+        )
+    return _motion(scan, line, frame, image)
+
+
+def _in_frame(track: Trajectory, site: Site) -> Trajectory:
+    """Return a trajectory in the frame of a site."""
+    frame = site.frame
+    if frame.crs and track.crs and frame.crs != track.crs:
+        raise CubeError(
+            f"the trajectory has the reference system {track.crs}, the site "
+            f"{frame.crs}; import the trajectory with --crs {frame.crs}"
+        )
+    if not (frame.crs and track.crs):
+        return track
+    away = np.subtract(track.crs_offset, frame.crs_offset)
+    return replace(track, position=track.position + away)
+
+
+def _motion(
+    scan: SiteScan, line: SiteTrajectory, frame: MovingFrame, image: xr.Dataset
+) -> Motion:
+    """Return the motion of a line, with the errors of trajectory and mounting."""
+    poses, known = frame.poses, frame.poses.known
+    time = poses.vehicle.time
+    first, last = np.nanmin(time[known]), np.nanmax(time[known])
+    share = (time - first) / max(last - first, 1e-9)
+    order = np.flatnonzero(known)[np.argsort(time[known])]
+    middle = order[len(order) // 2]
+    start = ScanPose(poses.rotation[middle], poses.position[middle])
+    arm = start.position - poses.vehicle.position[middle]
+    carried = np.eye(6)
+    carried[:3, 3:] = -cross_matrix(arm)
+    covariance = carried @ poses.vehicle.covariance[middle] @ carried.T
+    variance = np.einsum("nii->ni", poses.vehicle.covariance[order])
+    drift = []
+    for part, stated in (
+        (slice(0, 3), line.position_drift),
+        (slice(3, 6), line.attitude_drift),
+    ):
+        mean = variance[:, part].mean(axis=1)
+        # Uncertainties that are equal everywhere do not state how errors change.
+        grown = mean.max() - mean.min()
+        grown = grown if grown > 1e-6 * mean.max() else mean.max()
+        drift.append(float(np.sqrt(grown)) if stated is None else 2 * stated)
+    turn = np.sqrt(np.trace(covariance[3:, 3:]) / 3)
+    length = np.linalg.norm(poses.position[order[-1]] - poses.position[order[0]])
+    factors = error_factors(poses.mounting)
+    factors = factors[np.abs(factors).max(axis=1) > 0]
+    return Motion(
+        start=start,
+        # No direction counts as exact.
+        covariance=covariance + 1e-18 * np.eye(6),
+        keys=_keys(scan, poses.mounting, len(factors), drift, turn * length > 0),
+        poses=poses,
+        course=share.reshape(frame.shape),
+        mounting=factors,
+        drift=(drift[0], drift[1]),
+        bend=float(turn * length / 2),
+        own=_smear(frame, image),
+    )
+
+
+def _keys(
+    scan: SiteScan, mounting: Mounting, count: int, drift: list[float], bent: bool
+) -> tuple[str, ...]:
+    """Return the names of the errors of a line, in the order of `Motion.shifts`."""
+    group = f"{scan.instrument}, {scan.epoch}"
+    if mounting.correlation is None:
+        sigma = np.abs(error_factors(mounting)).max(axis=1)
+        names = [name for name, size in zip(_MOUNTING, sigma, strict=True) if size > 0]
+    else:
+        names = [f"mounting {number + 1}" for number in range(count)]
+    forms = range(1, _FORMS + 1)
+    keys = [f"{name}: {group}" for name in names]
+    keys += [f"turn of the track {axis}: {scan.name}" for axis in _AXES if bent]
+    for quantity, size in zip(("position", "attitude"), drift, strict=True):
+        keys += [
+            f"drift {form} of {quantity} {axis}: {scan.name}"
+            for form in forms
+            for axis in _AXES
+            if size > 0
+        ]
+    return tuple(keys)
+
+
+def _smear(frame: MovingFrame, image: xr.Dataset) -> Floats:
+    """Return the range uncertainty by its change during a reading [m]."""
+    poses = frame.poses
+    beams = np.broadcast_to(geometry_of(image).beam.direction, (*frame.shape, 3))
+    rate = np.einsum("ni,ni->n", poses.velocity, poses.turn(beams.reshape(-1, 3)))
+    return np.asarray(np.abs(rate) * poses.duration / np.sqrt(12)).reshape(frame.shape)
+
+
+def straightened(image: xr.Dataset, motion: Motion) -> xr.Dataset:
+    """Return a range image whose beams start where the moving instrument was.
+
+    Origins and directions are in the axes of the pose in the middle of the line. Pixels
+    without a pose have no range.
+    """
+    pose = motion.start
+    geometry = geometry_of(image)
+    shape = image["slant_range"].shape
+    beam = geometry.beam
+    direction = np.broadcast_to(beam.direction, (*shape, 3)).reshape(-1, 3)
+    before = np.broadcast_to(beam.length_before, shape).reshape(-1, 1)
+    entry = np.broadcast_to(beam.entry, (*shape, 3)).reshape(-1, 3)
+    known = motion.poses.known
+    origin = pose.back(motion.poses.place(entry - before * direction))
+    ahead = motion.poses.turn(direction) @ pose.rotation
+    origin = np.where(known[:, None], origin, 0.0)
+    ahead = np.where(known[:, None], ahead, direction)
+    values = {
+        "azimuth": np.arctan2(ahead[:, 0], ahead[:, 2]),
+        "elevation": -np.arcsin(np.clip(ahead[:, 1], -1.0, 1.0)),
+        **{f"origin_{axis}": origin[:, k] for k, axis in enumerate("xyz")},
+    }
+    known = known.reshape(shape)
+    grid = image["slant_range"]
+    result = image.assign(
+        slant_range=grid.copy(data=np.where(known, grid.values, np.nan)),
+        quality_flag=image["quality_flag"].copy(
+            data=image["quality_flag"].values
+            | np.where(known, 0, int(QualityFlag.MISSING)).astype(
+                image["quality_flag"].dtype
+            )
+        ),
+    ).assign_coords({
+        name: (("row", "column"), values[name].reshape(shape), {
+            "units": LEVELS["range_image"].coordinates[name].units,
+            "long_name": LEVELS["range_image"].coordinates[name].long_name,
+        })
+        for name in values
+    })  # fmt: skip
+    place = result["geometry"].copy()
+    offset = np.subtract(*(
+        np.asarray(place.attrs[f"{name}_position"], dtype=float)
+        for name in ("receiver", "emitter")
+    ))  # fmt: skip
+    place.attrs = {
+        name: value
+        for name, value in place.attrs.items()
+        if name not in WINDOW_ATTRIBUTES
+    } | {"emitter_position": np.zeros(3), "receiver_position": offset}
+    return result.assign_coords(geometry=place)
+
+
+def by_direction(image: xr.Dataset) -> xr.Dataset:
+    """Separate the rows of both directions of a beam that swings to and fro.
+
+    Points along the track are evenly spaced within the rows of one direction only.
+    Empty rows lie between both parts. The attribute `ROWS` has the number of each row
+    in the scan.
+    """
+    if "time" not in image.coords:
+        return image
+    time = np.asarray(image["time"].values, dtype=float)
+    with np.errstate(invalid="ignore"):
+        steps = np.sign(np.nan_to_num(np.diff(time, axis=1))).sum(axis=1)
+    back = steps < 0
+    if not back.any() or back.all():
+        return image
+    forth, other = np.flatnonzero(~back), np.flatnonzero(back)
+    order = np.concatenate([forth, np.zeros(_BETWEEN, dtype=np.intp), other])
+    parts = image.isel(row=order)
+    between = slice(len(forth), len(forth) + _BETWEEN)
+    changed = {}
+    for name, values in parts.data_vars.items():
+        if "row" not in values.dims:
+            continue
+        data = values.values.copy()
+        at = tuple(between if axis == "row" else slice(None) for axis in values.dims)
+        blank = np.nan if np.issubdtype(data.dtype, np.floating) else 0
+        data[at] = int(QualityFlag.MISSING) if name == "quality_flag" else blank
+        changed[name] = values.copy(data=data)
+    order[between] = -1
+    return parts.assign(changed).assign_attrs({ROWS: order})
+
+
+def rows_of_scan(attributes: Mapping[Any, object], rows: Numbers) -> Numbers:
+    """Return the numbers of rows in the scan, for rows of a range image of a site."""
+    order = attributes.get(ROWS)
+    return rows if order is None else np.asarray(order, dtype=np.intp)[rows]
+
+
+def row_of_image(attributes: Mapping[Any, object], row: int) -> int:
+    """Return the row of a range image of a site that is a given row of the scan."""
+    order = attributes.get(ROWS)
+    if order is None:
+        return row
+    rows = np.asarray(order, dtype=np.intp)
+    at = np.flatnonzero(rows == row)
+    return int(at[0]) if at.size else rows.size + row

@@ -1,0 +1,221 @@
+"""Moving lines of a site: beams, errors of poses, and their adjustment."""
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amulor import io
+from amulor.errors import CubeError, SurveyError
+from amulor.io.trajectories import read_trajectory, write_trajectory
+from amulor.site import Site
+from amulor.site.blocks import averaged, block_of, pixels_of_scan
+from amulor.site.check import check
+from amulor.site.load import range_image_of
+from amulor.site.merging.cloud import merge
+from amulor.site.registration.line import by_direction, motion_of, rows_of_scan
+from amulor.site.registration.register import register, surface_of, surfaces_of
+
+ROOT = Path(__file__).parents[3]
+STUDY = runpy.run_path(str(ROOT / "benchmarks" / "measure_moving_sites.py"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with two lines and a tripod scan over a rough bed."""
+    return tmp_path_factory.mktemp("lines")
+
+
+@pytest.fixture(scope="module")
+def drawn(folder: Path):
+    """Site, and true points by scan, for drawn errors."""
+    return STUDY["make"](folder, 2, lines=STUDY["LINES"][:2], rows=70, columns=40)
+
+
+@pytest.fixture(scope="module")
+def adjusted(drawn):
+    site, _ = drawn
+    surfaces, images = surfaces_of(site)
+    result = register(site, surfaces=surfaces, images=images)
+    return result, surfaces, merge(site, result, surfaces, images)
+
+
+def _errors(drawn, surface, scan: str, cloud):
+    """Errors of the merged points of a scan [m], and their covariances."""
+    site, true = drawn
+    mine = cloud.scan == [item.name for item in site.scan].index(scan)
+    row, column = np.divmod(cloud.pixel[mine], surface.distance.shape[1])
+    row = rows_of_scan(surface.attributes, row)
+    return cloud.position[mine] - true[scan][row, column], cloud.covariance[mine]
+
+
+def test_beams_start_where_the_instrument_was(tmp_path: Path) -> None:
+    """Without errors of ranges, mounting and navigation, points are exact."""
+    site, true = STUDY["make"](
+        tmp_path, 3, lines=STUDY["LINES"][:1], rows=40, columns=20, exact=True
+    )
+    scan = site.scan[0]
+    surface = surface_of(site, scan, range_image_of(scan))
+    rows = rows_of_scan(surface.attributes, np.arange(surface.distance.shape[0]))
+    placed = surface.motion.start.place(surface.position)
+    off = (placed - true[scan.name][rows])[surface.usable]
+    # Poses are interpolated between messages of 50 ms: below a micrometer.
+    assert np.abs(off).max() < 1e-6
+    assert surface.usable.sum() > 0.8 * true[scan.name][..., 0].size
+
+
+def test_rows_of_both_directions_are_separated(drawn) -> None:
+    image = io.read_cube(drawn[0].scan[0].file)
+    assert np.diff(image["time"].values, axis=1)[1, 0] < 0
+    parts = by_direction(image)
+    rows = parts.attrs["rows_of_scan"]
+    assert list(rows[:35]) == list(range(0, 70, 2))
+    assert list(rows[-35:]) == list(range(1, 70, 2))
+    assert (parts["quality_flag"].values[rows < 0] == 1).all()
+    assert np.isnan(parts["slant_range"].values[rows < 0]).all()
+    assert block_of(parts, 2, 5) == (1, 5)
+    # Beyond the rows of the scan there is no pixel.
+    steps = np.diff(parts["time"].values[:35, 3])
+    np.testing.assert_allclose(steps, steps[0])
+
+
+def test_pixels_are_reported_by_the_rows_of_the_scan(drawn, adjusted) -> None:
+    surface = adjusted[1]["line 1"]
+    assert pixels_of_scan(surface, np.array([40 * 1 + 7])).tolist() == [40 * 2 + 7]
+
+
+def test_a_line_one_way_needs_no_separation(drawn) -> None:
+    image = io.read_cube(drawn[0].scan[0].file)
+    one_way = image.isel(row=slice(0, None, 2))
+    assert by_direction(one_way) is one_way
+
+
+def test_a_drift_has_the_stated_change_along_the_line(drawn) -> None:
+    """Half of the change from the first to the last row has the stated size."""
+    site, _ = drawn
+    scan = site.scan[0]
+    line = scan.trajectory.model_copy(
+        update={"position_drift": 2e-3, "attitude_drift": 1e-3}
+    )
+    image = range_image_of(scan)
+    stated = scan.model_copy(update={"trajectory": line})
+    motion = motion_of(site, stated, image)
+    ends = np.array([np.nanargmin(motion.course), np.nanargmax(motion.course)])
+    shift = motion.shifts(ends, np.zeros((2, 3)))
+    at = [number for number, key in enumerate(motion.keys) if "of position" in key]
+    change = np.linalg.norm(shift[at, 1] - shift[at, 0], axis=0)
+    # Twelve forms of a random walk have 97 % of its variance.
+    np.testing.assert_allclose(change, 4e-3, rtol=0.03)
+    turns = [number for number, key in enumerate(motion.keys) if "attitude" in key]
+    first = motion.poses.vehicle.position[ends[0]]
+    away = np.linalg.norm(motion.start.position - first)
+    largest = np.linalg.norm(shift[turns, 1] - shift[turns, 0])
+    # Two of three axes move a point, by 2 mrad times its distance from the vehicle.
+    assert 0.5 * 2e-3 * away < largest < 2 * 2e-3 * away * np.sqrt(2)
+
+
+def test_lines_and_a_tripod_scan_are_adjusted_together(drawn, adjusted) -> None:
+    result, surfaces, cloud = adjusted
+    assert result.settled
+    assert not result.contradictions
+    for name in ("line 1", "line 2"):
+        off, covariance = _errors(drawn, surfaces[name], name, cloud)
+        start = surfaces[name].motion.start
+        before = start.place(surfaces[name].position)[surfaces[name].usable]
+        row, column = np.nonzero(surfaces[name].usable)
+        row = rows_of_scan(surfaces[name].attributes, row)
+        raw = before - drawn[1][name][row, column]
+        # The navigation is off by a centimeter, the surfaces meet to some millimeters.
+        assert np.sqrt((raw**2).sum(axis=1).mean()) > 8e-3
+        assert np.sqrt((off**2).sum(axis=1).mean()) < 5e-3
+        sigma = np.sqrt(np.einsum("nii->ni", covariance))
+        assert np.median(sigma) < 4e-3
+        # Errors of neighbors are common, so a whole line may be off by 3.5.
+        assert np.median(np.abs(off / sigma)) < 2.0
+        assert np.abs(off / sigma).max() < 6.0
+
+
+def test_the_mounting_is_estimated_with_the_site(drawn, adjusted) -> None:
+    result = adjusted[0]
+    keys = [key for key in result.errors if key.endswith(": instrument, 2026")]
+    assert "boresight down: instrument, 2026" in keys
+    assert "clock offset: instrument, 2026" in keys
+    for key in keys:
+        assert abs(result.errors[key]) < 4
+    spread = result.covariance_of("error boresight forward: instrument, 2026")
+    assert spread[0, 0] < 0.5  # of the stated variance
+
+
+def test_blocks_of_pixels_have_the_mean_time(drawn) -> None:
+    image = range_image_of(drawn[0].scan[0])
+    coarse = averaged(image, 2)
+    whole = image["reading_time"].values[0]
+    mean = whole[:34, :].reshape(17, 2, 20, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(coarse["reading_time"].values[0, :17], mean)
+
+
+def test_a_site_with_lines_has_no_mistakes(drawn) -> None:
+    assert check(drawn[0]).mistakes == ()
+
+
+def _edited(folder: Path, old: str, new: str) -> Site:
+    text = (folder / "site.toml").read_text().replace(old, new, 1)
+    return Site.from_text(text, folder=folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('file = "line 1.csv"', 'file = "none.csv"', "no such file"),
+        ('[scan.trajectory]', 'simulated_from = "rov.toml"\n[scan.trajectory]',
+         "does not simulate lines"),
+        ("[scan.start]", '[scan.trajectory]\nfile = "line 1.csv"\n[scan.start]',
+         "has a trajectory and a start pose; remove"),
+    ],
+)  # fmt: skip
+def test_a_line_that_contradicts_itself_is_refused(
+    folder: Path, drawn, old: str, new: str, words: str
+) -> None:
+    with pytest.raises(SurveyError, match=words):
+        _edited(folder, old, new)
+
+
+def test_a_track_without_uncertainties_is_refused(folder: Path, drawn) -> None:
+    track = read_trajectory(folder / "line 1.csv")
+    bare = replace(track, covariance=np.full_like(track.covariance, np.nan))
+    write_trajectory(bare, folder / "bare.csv", overwrite=True)
+    site = _edited(folder, 'file = "line 1.csv"', 'file = "bare.csv"')
+    (mistake,) = check(site).mistakes
+    assert "'line 1'" in mistake
+    assert "nobody states the uncertainty of the trajectory" in mistake
+
+
+def test_a_track_in_another_reference_system_is_refused(folder: Path, drawn) -> None:
+    track = replace(read_trajectory(folder / "line 1.csv"), crs="EPSG:32633")
+    write_trajectory(track, folder / "other.csv", overwrite=True)
+    site = _edited(folder, 'file = "line 1.csv"', 'file = "other.csv"')
+    frame = site.frame.model_copy(update={"crs": "EPSG:32632"})
+    site = site.model_copy(update={"frame": frame})
+    with pytest.raises(CubeError, match="EPSG:32633, the site EPSG:32632"):
+        motion_of(site, site.scan[0], range_image_of(site.scan[0]))
+
+
+def test_the_offset_of_a_reference_system_is_applied(folder: Path, drawn) -> None:
+    track = read_trajectory(folder / "line 1.csv")
+    moved = replace(
+        track, crs="EPSG:32632", crs_offset=(100.0, 0.0, 0.0),
+        position=track.position - [90.0, 0.0, 0.0],
+    )  # fmt: skip
+    write_trajectory(moved, folder / "moved.csv", overwrite=True)
+    site = _edited(folder, 'file = "line 1.csv"', 'file = "moved.csv"')
+    frame = site.frame.model_copy(
+        update={"crs": "EPSG:32632", "crs_offset": (10.0, 0.0, 0.0)}
+    )
+    site = site.model_copy(update={"frame": frame})
+    scan = site.scan[0]
+    image = range_image_of(scan)
+    here = motion_of(site, scan, image).start.position
+    plain = motion_of(drawn[0], drawn[0].scan[0], image).start.position
+    np.testing.assert_allclose(here, plain, atol=1e-6)
