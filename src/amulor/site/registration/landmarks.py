@@ -94,6 +94,8 @@ def _planes(
         for at in smooth[:: max(len(smooth) // _TRIALS, 1)]:
             near = np.abs((points - points[at]) @ normals[at]) < within
             best = near if near.sum() > best.sum() else best
+        if best.sum() < _FEWEST:
+            break
         for _ in range(3):
             center = points[best].mean(axis=0)
             _, axes = np.linalg.eigh(np.cov((points[best] - center).T))

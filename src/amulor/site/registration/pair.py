@@ -131,15 +131,17 @@ def compared(
     """
     pixel = _chosen(source, most)
     point = source.points(pixel)
-    placed = poses[0].place(point)
+    placed = poses[0].place(point - _moved_by(source, pixel, point, errors))
     local = poses[1].back(placed)
     tree = tree or tree_of(target)
     reach = max(4 * target.spacing, 0.0 if gate is None else 2 * gate)
     away, nearest = tree.query(local, distance_upper_bound=reach)
     met = np.isfinite(away)
-    numbers = np.flatnonzero(target.smooth)
+    numbers = np.flatnonzero(target.smooth)[nearest[met]]
     pixel, placed, local = pixel[met], placed[met], local[met]
-    at = on_grid(target, local, numbers[nearest[met]])
+    # Where the target, with its errors, measured this point.
+    local = local + _moved_by(target, numbers, local, errors)
+    at = on_grid(target, local, numbers)
     inside = at.inside
     if int(inside.sum()) < 20:
         return None
@@ -171,8 +173,17 @@ def compared(
     noises = [one.own.ravel() for one in (source, target)]
     # Derivatives must be independent of the noise of the distances, also through the
     # position: points are placed from neighbors of their pixels.
-    guessed = poses[0].place(source.apart.reshape(-1, 3)[pixel])
-    at_guess = on_grid(target, poses[1].back(guessed), at.pixel)
+    apart = source.apart.reshape(-1, 3)[pixel]
+    guessed = poses[0].place(apart - _moved_by(source, pixel, apart, errors))
+    beside = poses[1].back(guessed)
+    beside = beside + _moved_by(target, at.pixel, beside, errors)
+    at_guess = on_grid(target, beside, at.pixel)
+    motions = [
+        keys.index(key)
+        for scan in (source, target)
+        if scan.motion is not None
+        for key in scan.motion.keys
+    ]
     rows, alongs = [], []
     for normal, spot, on in (
         (normals[0], placed, at),
@@ -197,6 +208,7 @@ def compared(
     noise = alongs[0] * noises[0][pixel]
     patches = window @ sparse.diags(np.nan_to_num(noises[1]))
     estimates = np.array([errors.get(key, 0.0) for key in keys])
+    estimates[motions] = 0.0  # Places of the points include them.
     corrected = rows[0][:, 6:] @ estimates
     distance = at.distance + corrected
     points = Points(
@@ -398,6 +410,18 @@ def _shapes_at(scan: ScanSurface, pixel: Numbers, point: Floats) -> Floats:
     )
     off = _dot(point - start, ahead) - scan.distance.ravel()[pixel]
     return np.asarray(shapes + growth * off)
+
+
+def _moved_by(
+    scan: ScanSurface, pixel: Numbers, points: Floats, errors: dict[str, float]
+) -> Floats:
+    """Return shifts of points by the estimated errors of a moving instrument [m]."""
+    if scan.motion is None:
+        return np.zeros(points.shape)
+    estimates = np.array([errors.get(key, 0.0) for key in scan.motion.keys])
+    if not estimates.any():
+        return np.zeros(points.shape)
+    return np.asarray(np.tensordot(estimates, scan.moved(pixel, points), axes=1))
 
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:
