@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -23,6 +24,8 @@ Places = Literal["rows", "angles", "order"]
 
 #: Factor from rms to peak amplitudes [1].
 _PEAK = 2**0.5
+#: Largest condition number of the equations of raw frames [1].
+_LARGEST_CONDITION = 1e3
 #: Frequencies that differ by less count as one [1]; temperatures, in degC.
 _SAME_FREQUENCY, _SAME_TEMPERATURE = 1e-6, 0.05
 #: Largest difference of temperatures within a scan [degC].
@@ -66,44 +69,83 @@ def samples_of(table: Table, described: RecordingMap, survey: Survey) -> Samples
         values = numbers(name)
         return np.where(np.isfinite(values), values, np.nan)
 
-    if columns.in_phase is not None:
-        signal = outputs(columns.in_phase) + 1j * outputs(columns.quadrature)
+    repeats = 1
+    if columns.phases is not None:
+        signal, mean, frequency = _of_frames(described, outputs)
+        repeats = len(columns.phases)
     else:
-        turn = np.exp(
-            1j * constants.radians(constants.phase_unit) * outputs(columns.phase)
+        if columns.in_phase is not None:
+            signal = outputs(columns.in_phase) + 1j * outputs(columns.quadrature)
+        else:
+            turn = np.exp(
+                1j * constants.radians(constants.phase_unit) * outputs(columns.phase)
+            )
+            signal = outputs(columns.amplitude) * turn
+        signal = signal * constants.scale
+        signal = signal * (_PEAK if constants.root_mean_square else 1.0)
+        if constants.phase_falls_with_delay:
+            signal = signal.conj()
+        only = survey.instrument.modulation_frequencies
+        frequency = numbers(
+            columns.frequency,
+            constants.frequency or (only[0] if len(only) == 1 else np.nan),
         )
-        signal = outputs(columns.amplitude) * turn
-    signal = signal * constants.scale * (_PEAK if constants.root_mean_square else 1.0)
-    instrument = survey.instrument
-    only = instrument.modulation_frequencies
-    frequency = numbers(
-        columns.frequency,
-        constants.frequency or (only[0] if len(only) == 1 else np.nan),
-    )
-    if not np.all(frequency > 0):
-        number = int(np.argmin(frequency > 0))
-        raise FormatError(
-            f"{table.place(number)}: the modulation frequency is not known; state "
-            "columns.frequency or constants.frequency in the map"
-        )
+        mean = numbers(columns.mean)
+        if not np.all(frequency > 0):
+            number = int(np.argmin(frequency > 0))
+            raise FormatError(
+                f"{table.place(number)}: the modulation frequency is not known; state "
+                "columns.frequency or constants.frequency in the map"
+            )
     angle = constants.radians(constants.angle_unit)
     water = np.zeros(count, dtype=bool)
     if columns.what is not None:
         water = table.texts(columns.what) == constants.open_water
     return Samples(
-        signal=np.asarray(
-            signal.conj() if constants.phase_falls_with_delay else signal, dtype=complex
-        ),
-        mean=numbers(columns.mean),
+        signal=np.asarray(signal, dtype=complex),
+        mean=mean,
         frequency=frequency,
-        polarization=_polarizations(table, described, survey),
-        azimuth=angle * numbers(columns.azimuth),
-        elevation=angle * numbers(columns.elevation),
-        row=numbers(columns.row),
-        column=numbers(columns.column),
-        temperature=numbers(columns.temperature),
-        water=water,
+        polarization=np.tile(_polarizations(table, described, survey), repeats),
+        azimuth=np.tile(angle * numbers(columns.azimuth), repeats),
+        elevation=np.tile(angle * numbers(columns.elevation), repeats),
+        row=np.tile(numbers(columns.row), repeats),
+        column=np.tile(numbers(columns.column), repeats),
+        temperature=np.tile(numbers(columns.temperature), repeats),
+        water=np.tile(water, repeats),
     )
+
+
+def _of_frames(
+    described: RecordingMap, outputs: Callable[[str], Floats]
+) -> tuple[Complex, Floats, Floats]:
+    """Return signal, mean output and frequency of raw frames, one block a frequency.
+
+    Least squares of frames B + a cos(phase + step) with the steps of the reference. B
+    is the mean output only if it is that of light: differences of two taps have none.
+    """
+    constants, lists = described.constants, described.columns.phases
+    assert lists is not None
+    assert constants.frequencies is not None
+    signals, means, frequencies = [], [], []
+    for names, frequency in zip(lists, constants.frequencies, strict=True):
+        if constants.phase_steps is None:
+            step = 2 * np.pi * np.arange(len(names)) / len(names)
+        else:
+            unit = constants.radians(constants.phase_unit)
+            step = unit * np.asarray(constants.phase_steps)
+        design = np.stack([np.ones_like(step), np.cos(step), -np.sin(step)], axis=1)
+        if np.linalg.cond(design) > _LARGEST_CONDITION:
+            raise FormatError(
+                "constants.phase_steps do not determine the phase; needed are three or "
+                "more different phases of the reference"
+            )
+        frames = constants.scale * np.stack([outputs(name) for name in names])
+        offset, in_phase, quadrature = np.linalg.pinv(design) @ frames
+        signals.append(in_phase + 1j * quadrature)
+        is_light = offset >= np.hypot(in_phase, quadrature)
+        means.append(np.where(is_light, offset, np.nan))
+        frequencies.append(np.full(offset.size, frequency))
+    return np.concatenate(signals), np.concatenate(means), np.concatenate(frequencies)
 
 
 def _polarizations(

@@ -67,6 +67,9 @@ class ColumnSettings(Description):
     """Amplitude R of the lock-in amplifier, instead of X and Y."""
     phase: Column | None = None
     """Phase theta of the lock-in amplifier, instead of X and Y."""
+    phases: tuple[Annotated[tuple[Column, ...], Field(min_length=3)], ...] | None = None
+    """Raw frames of a time-of-flight camera, instead of X and Y: for each modulation
+    frequency a list of three or more columns, one for each phase of the reference."""
     frequency: Column | None = None
     """Modulation frequency of each sample [Hz]."""
     polarization: Column | None = None
@@ -102,9 +105,15 @@ class ColumnSettings(Description):
         for first, second in pairs:
             if (getattr(self, first) is None) != (getattr(self, second) is None):
                 raise ValueError(f"{first} and {second} belong together; state both")
-        if (self.in_phase is None) == (self.amplitude is None):
+        signals = (self.in_phase, self.amplitude, self.phases)
+        if sum(signal is not None for signal in signals) != 1:
             raise ValueError(
-                "needed are in_phase and quadrature, or amplitude and phase"
+                "needed are in_phase and quadrature, or amplitude and phase, or phases"
+            )
+        if self.phases is not None and self.frequency is not None:
+            raise ValueError(
+                "columns.phases has a list for each frequency, so columns.frequency is "
+                "too much; state constants.frequencies"
             )
         return self
 
@@ -123,8 +132,14 @@ class ConstantSettings(Description):
     are peak values."""
     phase_falls_with_delay: bool = True
     """Whether a larger delay gives a smaller phase, as with lock-in amplifiers."""
+    frequencies: tuple[Annotated[Frequency, Field(gt=0)], ...] | None = None
+    """Modulation frequencies of the lists of `columns.phases` [Hz]."""
+    phase_steps: tuple[Annotated[float, Field(allow_inf_nan=False)], ...] | None = None
+    """Phase of the reference in each column of a list of `columns.phases`, in
+    `phase_unit`; by default evenly spread over a turn, such as 0, 90, 180 and 270
+    degrees. A delay acts as a larger phase; state negative steps if it does not."""
     phase_unit: Literal["rad", "mrad", "deg"] = "deg"
-    """Unit of the column `phase`."""
+    """Unit of the column `phase`, and of `phase_steps`."""
     angle_unit: Literal["rad", "mrad", "deg"] = "deg"
     """Unit of the columns `azimuth` and `elevation`."""
     uncertainty: Annotated[Voltage, Field(gt=0)] | None = None
@@ -160,6 +175,25 @@ class RecordingMap(Description):
                 raise ValueError(
                     f"columns.{name} and constants.{name} say it twice; keep one"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _frames_are_described(self) -> Self:
+        phases, steps = self.columns.phases, self.constants.phase_steps
+        frequencies = self.constants.frequencies
+        if phases is None:
+            return self
+        if frequencies is None or len(frequencies) != len(phases):
+            raise ValueError(
+                f"columns.phases has {len(phases)} lists; state as many "
+                "constants.frequencies"
+            )
+        counts = {len(names) for names in phases}
+        if steps is not None and counts != {len(steps)}:
+            raise ValueError(
+                f"constants.phase_steps has {len(steps)} phases, but the lists of "
+                f"columns.phases have {', '.join(map(str, sorted(counts)))}"
+            )
         return self
 
     @classmethod
@@ -241,6 +275,15 @@ class ColumnMap(Protocol):
         ...
 
 
+def _assigned(columns: Columns) -> list[str]:
+    """Names of all columns of a map, each once."""
+    names: list[str] = []
+    for _, value in columns:
+        lists = value if isinstance(value, tuple) else ((value,),)
+        names += [name for some in lists for name in some if name is not None]
+    return list(dict.fromkeys(names))
+
+
 def read_table(path: Path, described: ColumnMap) -> Table:
     """Read the columns of a recording to which its map assigns quantities."""
     (table,) = table_parts(path, described, None)
@@ -249,7 +292,7 @@ def read_table(path: Path, described: ColumnMap) -> Table:
 
 def table_parts(path: Path, described: ColumnMap, count: int | None) -> Iterator[Table]:
     """Read the mapped columns of a recording, in blocks of a number of samples."""
-    names = [name for _, name in described.columns if name is not None]
+    names = _assigned(described.columns)
     try:
         if described.table.format == "hdf5":
             yield from _whole_hdf5(path, names, count)
@@ -265,7 +308,7 @@ def table_parts(path: Path, described: ColumnMap, count: int | None) -> Iterator
 
 def _csv(path: Path, described: ColumnMap, count: int | None) -> Iterator[Table]:
     settings = described.table
-    needed = [name for _, name in described.columns if name is not None]
+    needed = _assigned(described.columns)
     texts = described.columns.texts
     with path.open(encoding="utf-8-sig", newline="") as file:
         plain = map(_with_single_spaces, file) if settings.delimiter == " " else file

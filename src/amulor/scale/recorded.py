@@ -133,7 +133,7 @@ def _spilled(
             tell(f"reading, sample {read:,}", 0.0)
             read += len(table)
             samples = samples_of(table, described, survey)
-            part = np.zeros(len(table), dtype=_SAMPLE)
+            part = np.zeros(samples.signal.size, dtype=_SAMPLE)
             for name in ("signal", "water", *_NUMBERS):
                 part[name] = getattr(samples, name)
             part["pair"] = [
