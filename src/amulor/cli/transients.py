@@ -19,15 +19,16 @@ def transients(
     output: Annotated[Path, Parameter(alias="-o")],
     scene: int | None = None,
     scan_side: str | None = None,
+    repetition: str | None = None,
     medium: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Convert single-photon histograms to a measurement cube.
+    """Convert single-photon histograms or waveforms to a measurement cube.
 
     Parameters
     ----------
     file
-        Histograms (npz) with counts and bin_width_s.
+        Histograms (npz) with counts and bin_width_s, or waveforms (npz, csv).
     frequency
         Modulation frequencies: a list such as "50MHz,100MHz", or first, last and number
         such as "10MHz:400MHz:40".
@@ -37,6 +38,9 @@ def transients(
         Index of the scene, from 0, if the file has several.
     scan_side
         Side of the scanned square, such as "60 cm".
+    repetition
+        Repetition frequency of the laser, such as "10 MHz"; needed to correct a dead
+        time that the file states.
     medium
         Estimate the water signal from all scenes of the file, and store it in place of
         open-water shots, for "amulor reject".
@@ -59,10 +63,21 @@ def transients(
     side = (
         None if scan_side is None else quantity_of("--scan-side", scan_side, "length")
     )
+    pulses = (
+        None
+        if repetition is None
+        else quantity_of("--repetition", repetition, "frequency")
+    )
     check_cube_output(output, overwrite=overwrite, inputs=[file])
     overlap = 0.0
     with refusing():
-        cube = read_transients(file, frequencies, scene=scene, scan_side=side)
+        cube = read_transients(
+            file,
+            frequencies,
+            scene=scene,
+            scan_side=side,
+            repetition_frequency=pulses,
+        )
         if medium:
             shots = medium_from_minimum(file, frequencies)
             overlap = float(np.max(shots.attrs["echo_overlap"]))

@@ -1,4 +1,4 @@
-"""Photon histograms from npz files: reading, Fourier coefficients, counting noise."""
+"""Photon histograms and waveforms: reading, Fourier coefficients, and their noise."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor.cube import provenance
 from amulor.errors import FormatError
+from amulor.io.dead_time import Counter
 from amulor.io.files import read_bytes
 
 #: Meter in an inch, by definition.
@@ -81,6 +82,15 @@ class Histograms:
     """Slab thickness by column, if the columns are slabs [m]."""
     direct_counts: NDArray[Any] | None
     """Photons per bin without a slab, if the file has them [1]."""
+    counter: Counter | None = None
+    """Pulses and dead time of the photon counter, if the file has them."""
+    reference: NDArray[Any] | None = None
+    """Recorded pulse of the instrument, dimension (bin), if the file has it."""
+    noise: float | None = None
+    """Standard deviation of a sample of a waveform; None for photons [V]."""
+    start: float | None = None
+    """Time of the first sample of a waveform; None for photons, whose first bin starts
+    at zero [s]."""
 
     @property
     def name(self) -> str:
@@ -98,6 +108,16 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
         columns, bins); (scenes, rows, columns, bins), optionally with `distance_label`
         (scenes); or (slabs, bins), with `thickness_inch` (slabs) and optionally
         `direct_counts` (bins), the histogram without a slab.
+
+        Optional fields for the dead time of the counter: `cycles`, the number of laser
+        pulses of a histogram, `dead_time_s`, by default until the next pulse, and
+        `dead_time_uncertainty_s`. `reference_counts` (bins) is the recorded pulse of
+        the instrument.
+
+        Waveforms of a digitizer have `waveform` (rows, columns, samples) [V],
+        `sample_interval_s`, `noise_v`, and optionally `start_s` and
+        `reference_waveform` (samples). A CSV file of waveforms has the columns
+        `row,column,time_s,voltage_v,noise_v`.
 
     Returns
     -------
@@ -126,7 +146,11 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
     """
     path = Path(path)
     content = read_bytes(path)
+    if path.suffix.lower() == ".csv":
+        return _waveforms(path, content, _columns(path, content))
     fields = _arrays(path, content)
+    if "waveform" in fields:
+        return _waveforms(path, content, fields)
     for name in ("counts", "bin_width_s"):
         if name not in fields:
             raise FormatError(f"{path}: field '{name}' is missing; {_NEEDED}")
@@ -163,7 +187,140 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
         labels=_labels(path, fields, scenes=counts.shape[0]),
         thickness=thickness,
         direct_counts=direct,
+        counter=_counter(path, fields, shape=counts.shape[:-1]),
+        reference=_reference(path, fields, "reference_counts", bins=counts.shape[-1]),
     )
+
+
+def _counter(
+    path: Path, fields: dict[str, NDArray[Any]], *, shape: tuple[int, ...]
+) -> Counter | None:
+    if "cycles" not in fields:
+        if "dead_time_s" in fields:
+            raise FormatError(
+                f"{path}: field 'dead_time_s' needs 'cycles', the number of laser "
+                "pulses of a histogram"
+            )
+        return None
+    cycles = fields["cycles"]
+    if cycles.dtype.kind not in "iu" or not (cycles > 0).all():
+        raise FormatError(
+            f"{path}: field 'cycles' must hold whole numbers of pulses above 0"
+        )
+    try:
+        cycles = np.broadcast_to(cycles, shape)
+    except ValueError:
+        raise FormatError(
+            f"{path}: field 'cycles' has shape {cycles.shape}, needed is one number, "
+            f"or one for each histogram, {shape[1:]}"
+        ) from None
+    dead_time, uncertainty = (
+        float(fields[name].reshape(-1)[0]) if name in fields else default
+        for name, default in (
+            ("dead_time_s", math.inf),
+            ("dead_time_uncertainty_s", 0.0),
+        )
+    )
+    if not dead_time > 0 or not 0 <= uncertainty < dead_time:
+        raise FormatError(
+            f"{path}: 'dead_time_s' must be above 0 s and above its uncertainty, got "
+            f"{dead_time:g} s and {uncertainty:g} s"
+        )
+    return Counter(
+        cycles=cycles, dead_time=dead_time, dead_time_uncertainty=uncertainty
+    )
+
+
+def _reference(
+    path: Path, fields: dict[str, NDArray[Any]], name: str, *, bins: int
+) -> NDArray[Any] | None:
+    reference = fields.get(name)
+    if reference is None:
+        return None
+    if reference.shape != (bins,) or not np.isfinite(reference).all():
+        raise FormatError(
+            f"{path}: field '{name}' has shape {reference.shape}, needed are {bins} "
+            "finite numbers, one for each bin of a record"
+        )
+    return reference
+
+
+_WAVEFORM = (
+    "needed are 'waveform' (rows, columns, samples) in volts, 'sample_interval_s' and "
+    "'noise_v', the standard deviation of a sample"
+)
+
+
+def _waveforms(
+    path: Path, content: bytes, fields: dict[str, NDArray[Any]]
+) -> Histograms:
+    """Return waveforms of a digitizer; FormatError if a field cannot be used."""
+    waveform = fields["waveform"]
+    if waveform.ndim != 3 or waveform.shape[-1] < 2 or waveform.size == 0:
+        raise FormatError(
+            f"{path}: field 'waveform' has shape {waveform.shape}; {_WAVEFORM}"
+        )
+    if not np.isfinite(waveform).all():
+        raise FormatError(f"{path}: field 'waveform' holds numbers that are not finite")
+    numbers = {}
+    for name in ("sample_interval_s", "noise_v"):
+        value = fields.get(name)
+        if value is None or value.size != 1 or not (value > 0).all():
+            raise FormatError(
+                f"{path}: field '{name}' is not one number above 0; {_WAVEFORM}"
+            )
+        numbers[name] = float(value.reshape(()))
+    start = fields.get("start_s", np.zeros(()))
+    return Histograms(
+        path=path,
+        digest=provenance.digest(content),
+        counts=waveform[np.newaxis].astype(float),
+        bin_width=_bin_width(path, np.array(numbers["sample_interval_s"])),
+        labels=(),
+        thickness=None,
+        direct_counts=None,
+        reference=_reference(
+            path, fields, "reference_waveform", bins=waveform.shape[-1]
+        ),
+        noise=numbers["noise_v"],
+        start=float(start.reshape(-1)[0]),
+    )
+
+
+_COLUMNS = ["row", "column", "time_s", "voltage_v", "noise_v"]
+#: Largest departure of the times of a table from equal steps, in steps [1].
+_UNEVEN = 1e-3
+
+
+def _columns(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
+    """Return the fields of a table of waveforms; FormatError for another table."""
+    try:
+        head, *lines = content.decode("utf-8").strip().splitlines()
+        if [name.strip() for name in head.split(",")] != _COLUMNS:
+            raise ValueError(f"its first line is {head[:60]!r}")
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+        row, column = (table[:, k].astype(int) for k in (0, 1))
+        order = np.lexsort((table[:, 2], column, row))
+        shape = (row.max() + 1, column.max() + 1, -1)
+        waveform, times, noise = (table[order, k].reshape(shape) for k in (3, 2, 4))
+    except ValueError as error:
+        raise FormatError(
+            f"{path} is no table of waveforms ({error}); needed are the columns "
+            f"{','.join(_COLUMNS)}, with all samples of every row and column"
+        ) from error
+    step = (times[0, 0, -1] - times[0, 0, 0]) / max(times.shape[-1] - 1, 1)
+    even = times[0, 0, 0] + step * np.arange(times.shape[-1])
+    if not step > 0 or np.abs(times - even).max() > _UNEVEN * step:
+        raise FormatError(
+            f"{path}: the column time_s has no equal steps, the same in all waveforms; "
+            "resample the record"
+        )
+    return {
+        "waveform": waveform,
+        "sample_interval_s": np.array(step),
+        "noise_v": np.array(np.sqrt(np.mean(noise**2))),
+        "start_s": np.array(even[0]),
+    }
 
 
 def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
@@ -174,6 +331,15 @@ def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         "distance_label",
         "thickness_inch",
         "direct_counts",
+        "cycles",
+        "dead_time_s",
+        "dead_time_uncertainty_s",
+        "reference_counts",
+        "waveform",
+        "sample_interval_s",
+        "noise_v",
+        "start_s",
+        "reference_waveform",
     )
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
@@ -352,7 +518,8 @@ def weights(
     its own.
     """
     bins = histograms.counts.shape[-1]
-    time = (np.arange(bins) + 0.5) * histograms.bin_width - time_of_emission
+    start = 0.5 * histograms.bin_width if histograms.start is None else histograms.start
+    time = start + np.arange(bins) * histograms.bin_width - time_of_emission
     weight: NDArray[np.complex128] = np.exp(2j * np.pi * np.outer(frequency, time))
     if background_bins is not None:
         first, end = background_bins
@@ -378,8 +545,38 @@ class Coefficients:
     covariance: NDArray[np.float64]
     """Covariance of real and imaginary part [1]."""
 
+    def times(self, factor: NDArray[np.complex128]) -> Coefficients:
+        """Return the coefficients after multiplication by a factor per frequency."""
+        shape = (-1, *[1] * (self.signal.ndim - 1))
+        a, b = factor.real.reshape(shape), factor.imag.reshape(shape)
+        product = 2 * a * b * self.covariance
+        return Coefficients(
+            signal=self.signal * factor.reshape(shape),
+            variance_in_phase=a**2 * self.variance_in_phase
+            + b**2 * self.variance_quadrature
+            - product,
+            variance_quadrature=b**2 * self.variance_in_phase
+            + a**2 * self.variance_quadrature
+            + product,
+            covariance=a * b * (self.variance_in_phase - self.variance_quadrature)
+            + (a**2 - b**2) * self.covariance,
+        )
 
-def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficients:
+    def with_error(self, shift: NDArray[np.complex128]) -> Coefficients:
+        """Return the coefficients with a further standard error along a shift."""
+        return Coefficients(
+            signal=self.signal,
+            variance_in_phase=self.variance_in_phase + shift.real**2,
+            variance_quadrature=self.variance_quadrature + shift.imag**2,
+            covariance=self.covariance + shift.real * shift.imag,
+        )
+
+
+def transform(
+    counts: NDArray[Any],
+    weight: NDArray[np.complex128],
+    variance: NDArray[np.float64] | None = None,
+) -> Coefficients:
     r"""Fourier coefficients of histograms, with their Poisson covariance.
 
     Notes
@@ -388,7 +585,8 @@ def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficie
     :math:`\sum_k n_k g_k` has the variances :math:`\sum_k n_k (\Re g_k)^2` and
     :math:`\sum_k n_k (\Im g_k)^2` and the covariance
     :math:`\sum_k n_k \Re g_k \Im g_k`; the observed counts stand for their means,
-    which leaves the estimates unbiased. Done as matrix products over blocks of
+    which leaves the estimates unbiased. A stated `variance` of each bin replaces them.
+    Done as matrix products over blocks of
     histograms and frequencies, so that memory stays bounded.
 
     Examples
@@ -398,6 +596,14 @@ def transform(counts: NDArray[Any], weight: NDArray[np.complex128]) -> Coefficie
     (3+4j) 3.0 0.0
     """
     frequencies, bins = weight.shape
+    if variance is not None:
+        values, squares = transform(counts, weight), transform(variance, weight)
+        return Coefficients(
+            signal=values.signal,
+            variance_in_phase=squares.variance_in_phase,
+            variance_quadrature=squares.variance_quadrature,
+            covariance=squares.covariance,
+        )
     flat = counts.reshape(-1, bins)
     sums = np.empty((5, frequencies, flat.shape[0]))
     rows = max(1, BLOCK // bins)

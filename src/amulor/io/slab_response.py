@@ -105,6 +105,11 @@ def read_slabs(path: str | os.PathLike[str]) -> Slabs:
     array([0.0127, 0.0254])
     """
     histograms = read_histograms(path)
+    if histograms.counter is not None:
+        raise FormatError(
+            f"{histograms.path}: the dead time of slabs is not corrected; remove "
+            "'cycles', and record fewer photons per pulse"
+        )
     if histograms.thickness is None or histograms.direct_counts is None:
         missing = "thickness_inch" if histograms.thickness is None else "direct_counts"
         raise FormatError(

@@ -1,4 +1,4 @@
-"""Conversion of photon histograms to the measurement cube of an AM laser radar."""
+"""Conversion of histograms and waveforms to the cube of an AM laser radar."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulor import cube as cubes
 from amulor.errors import FormatError
+from amulor.io.dead_time import Light, without_loss
 from amulor.io.histograms import (
     Coefficients,
     Histograms,
@@ -120,12 +121,12 @@ def read_transients(
     group_index: float = 1.0,
     refractive_index: float = 1.0,
 ) -> xr.Dataset:
-    r"""Read photon histograms of one scene as a cube at given modulation frequencies.
+    r"""Read histograms or waveforms of a scene as a cube at modulation frequencies.
 
     Parameters
     ----------
     path : path-like
-        File in npz format, see `amulor.io.histograms.read_histograms`.
+        File of histograms or waveforms, see `amulor.io.histograms.read_histograms`.
     modulation_frequency : array_like
         Increasing frequencies, up to half a period per bin [Hz].
     scene : int, optional
@@ -181,6 +182,19 @@ def read_transients(
     (`VOLTS_PER_COUNT`). The uncertainties are those of photon counting, see
     `amulor.io.histograms.transform`.
 
+    With `cycles` in the file, the counting loss by the dead time is corrected (see
+    `amulor.io.dead_time.without_loss`), and the error of the dead time is added. A
+    histogram in which a bin has a photon in every pulse is NaN.
+
+    With the recorded pulse s of the instrument in the file, the record r is
+    deconvolved: :math:`R S^* / (|S|^2 + \epsilon)`, with Fourier coefficients R and S
+    and the noise power :math:`\epsilon` of S. Pulse shape, bin width and time zero of
+    the pulse cancel. For a pulse with radio-frequency modulation, the coefficient at
+    the modulation frequency is the output of a band-pass (hybrid lidar-radar).
+
+    Errors of dead time and recorded pulse are common to all pixels. They are stated as
+    errors of each pixel.
+
     A histogram that ends before the light has decayed lacks the late light.
     For a pulse train only the harmonics of the repetition frequency are exact. At
     frequencies between them the light must decay before the next pulse. Such
@@ -216,15 +230,18 @@ def read_transients(
         background_bins=background_bins,
     )
     counts = histograms.counts[number]
-    dark = counts.sum(axis=-1) == 0
+    dark = np.zeros(counts.shape[:-1], dtype=bool)
+    if histograms.noise is None:
+        dark = counts.sum(axis=-1) == 0
     if dark.all():
         raise FormatError(
             f"{path}: scene {number} holds no photon in any of its {dark.size} "
             "histograms; take another scene, or look at how the counts were saved"
         )
+    coefficients = _coefficients(histograms, number, weight, repetition_frequency)
     cube = cubes.build(
         "samples",
-        _outputs(transform(counts, weight), missing=dark, axis=1),
+        _outputs(coefficients, missing=dark, axis=1),
         {
             "modulation_frequency": frequency,
             "polarization": ["none"],
@@ -241,13 +258,18 @@ def read_transients(
         attributes=cubes.attributes(
             "samples",
             title=_title(histograms, published, number),
-            source="measured photon histograms, Fourier coefficients",
+            source="measured photon histograms, Fourier coefficients"
+            if histograms.noise is None
+            else "digitized waveforms, Fourier coefficients",
             references=_FOAM if published else None,
             license=_FOAM_LICENCE if published else None,
             simulated=np.int32(0),
             input_digests=f"{histograms.name} {histograms.digest}",
-            volts_per_count=VOLTS_PER_COUNT,
-            **_PHOTON_NOISE,
+            **(
+                {"volts_per_count": VOLTS_PER_COUNT, **_PHOTON_NOISE}
+                if histograms.noise is None
+                else {}
+            ),
             bin_width=histograms.bin_width,
             time_of_emission=float(time_of_emission),
             scene=np.int32(number),
@@ -262,6 +284,89 @@ def read_transients(
             {"units": "m", "long_name": "thickness of the slab"},
         )
     return cubes.note(cube, f"import transients {histograms.name} --scene {number}")
+
+
+def _coefficients(
+    histograms: Histograms,
+    scene: int,
+    weight: NDArray[np.complex128],
+    repetition_frequency: float | None,
+) -> Coefficients:
+    """Return the coefficients of a scene, without counting loss and pulse shape."""
+    counts = histograms.counts[scene]
+    if histograms.noise is not None:
+        found = transform(counts, weight, np.full(counts.shape, histograms.noise**2))
+    elif histograms.counter is None:
+        found = transform(counts, weight)
+    else:
+        light = _without_loss(histograms, scene, repetition_frequency)
+        found = transform(light.mean, weight, light.variance)
+        change = histograms.counter.dead_time_uncertainty
+        if change > 0:
+            longer = _without_loss(histograms, scene, repetition_frequency, change)
+            shift = transform(longer.mean, weight).signal - found.signal
+            found = found.with_error(shift)
+    if histograms.reference is not None:
+        found = _deconvolved(histograms, found, weight)
+    return found
+
+
+def _without_loss(
+    histograms: Histograms,
+    scene: int,
+    repetition_frequency: float | None,
+    longer: float = 0.0,
+) -> Light:
+    """Return the light on the counter, for a dead time that is longer by a change."""
+    counter = histograms.counter
+    assert counter is not None
+    period = None
+    if np.isfinite(counter.dead_time):
+        if repetition_frequency is None:
+            raise FormatError(
+                f"{histograms.path}: a dead time of {counter.dead_time:g} s may last "
+                "until the next pulse; state repetition_frequency"
+            )
+        period = 1 / (repetition_frequency * histograms.bin_width)
+    return without_loss(
+        histograms.counts[scene],
+        counter.cycles[scene],
+        dead_bins=(counter.dead_time + longer) / histograms.bin_width,
+        period_bins=period,
+        path=histograms.path,
+    )
+
+
+#: Signal of a recorded pulse over its noise, from which it is significant [1].
+_SIGNIFICANT = 5.0
+
+
+def _deconvolved(
+    histograms: Histograms, found: Coefficients, weight: NDArray[np.complex128]
+) -> Coefficients:
+    """Return coefficients divided by those of the recorded pulse, times its light."""
+    reference = histograms.reference
+    assert reference is not None
+    noise = histograms.noise
+    pulse = transform(
+        reference[np.newaxis].astype(float),
+        weight,
+        None if noise is None else np.full((1, reference.size), noise**2),
+    )
+    spectrum = pulse.signal[:, 0]
+    error = (pulse.variance_in_phase + pulse.variance_quadrature)[:, 0]
+    if np.any(np.abs(spectrum) < _SIGNIFICANT * np.sqrt(error)):
+        raise FormatError(
+            f"{histograms.path}: the recorded pulse is not significant above its noise "
+            "at all modulation frequencies; choose lower ones, or record it for longer"
+        )
+    factor = spectrum.conj() * reference.sum() / (np.abs(spectrum) ** 2 + error)
+    divided = found.times(factor)
+    shape = (-1, *[1] * (divided.signal.ndim - 1))
+    # The error of the pulse has any phase.
+    part = np.sqrt(error / 2) / np.abs(spectrum)
+    shift = divided.signal * part.reshape(shape)
+    return divided.with_error(shift).with_error(1j * shift)
 
 
 def medium_from_minimum(
@@ -338,6 +443,11 @@ def medium_from_minimum(
         background_bins=background_bins,
     )
     smallest = histograms.counts.sum(axis=(1, 2)).argmin(axis=0)
+    if histograms.counter is not None or histograms.noise is not None:
+        raise FormatError(
+            f"{histograms.path}: the minimum over scenes needs photon counts without "
+            "'cycles'; record the medium alone"
+        )
     bins = np.arange(smallest.size)
     medium = np.moveaxis(histograms.counts[smallest, ..., bins], 0, -1)
     shots = transform(medium.reshape(-1, smallest.size), weight)
