@@ -244,7 +244,7 @@ def test_fields_that_cannot_be_used_are_named(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("time,volt\n1,2\n", "is no table of waveforms"),
+        ("time,volt\n1,2\n", r"is no table of waveforms \(its first line is"),
         ("row,column,time_s,voltage_v,noise_v\n0,0,0,1,1\n0,0,1e-9,1,1\n0,0,3e-9,1,1\n",
          "the column time_s has no equal steps"),
     ],
