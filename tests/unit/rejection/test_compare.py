@@ -346,3 +346,20 @@ def test_a_method_that_agrees_with_the_first_and_has_less_noise_is_taken(
     assert (None if steadier is None else steadier.index) == expected
     if steadier is not None:
         assert steadier.difference == pytest.approx(1e-3 * difference, abs=3e-5)
+
+
+def test_paths_of_two_methods_differ_up_to_whole_intervals() -> None:
+    module = importlib.import_module("amulor.rejection.compare")
+    noise = 1e-3
+    first = module._Trial(
+        row=_row("first", noise), path=np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+    )
+    other = module._Trial(
+        row=_row("other", noise), path=np.array([0.7, 0.8, 1.0, 4.7, np.nan])
+    )
+    # Intervals of 1 m: 0.3, 1.2 and -0.7 are 0.3, 0.2 and 0.3.
+    found = module._differences(first, other, 1.0)
+    assert found == pytest.approx([0.3, 0.2, 0.3])
+    none = module._Trial(row=_row("none", noise), path=None)
+    for pair in ((none, other), (first, none)):
+        assert module._differences(*pair, 1.0).size == 0
