@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from amulor.cli import main
 from amulor.cli._arguments import (
     UsageError,
     channel_of,
@@ -113,3 +114,56 @@ def test_dimensions_are_counted_in_words() -> None:
     sizes = {"modulation_frequency": 2, "polarization": 2, "row": 3, "shot": 5}
     assert _counted(sizes) == [("row", 3), ("open-water shot", 5)]
     assert (_chance(None), _chance(0.04)) == ("", " (chance below 0.04)")
+
+
+#: Command without its inputs, option, values within its bounds, values beyond them.
+BOUNDS = [
+    (
+        ["simulate", "none.toml", "-o", "b.nc"],
+        "--error",
+        ["0.001", "0.999"],
+        ["0", "1"],
+    ),
+    (["backscatter", "none.toml"], "--error", ["0.001", "2"], ["0", "-0.1"]),
+    (["profile", "none.nc", "--pixel", "1,2"], "--most", ["1", "5"], ["0", "-1"]),
+    (
+        ["run", "none.toml", "-o", "b", "--scheduler", "local"],
+        "--workers",
+        ["1", "2"],
+        ["0", "-1"],
+    ),
+    (["run", "none.toml", "-o", "b"], "--tile-rows", ["1"], ["0"]),
+    (["watch", "none"], "--every", ["1 ms", "1 h"], ["0 s", "-1 s"]),
+    (
+        ["calibrate", "plate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
+        "--densities",
+        ["0", "10"],
+        ["-0.001", "10.001"],
+    ),
+    (["image", "none.nc", "-o", "b.nc"], "--tile-rows", ["1"], ["0"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([*words, option, value], code)
+        for words, option, *sides in BOUNDS
+        for code, values in zip((1, 2), sides, strict=True)
+        for value in values
+    ],
+    ids=lambda value: " ".join(value[-2:]) if isinstance(value, list) else "",
+)
+def test_a_number_is_accepted_up_to_its_bounds(
+    words: list[str],
+    expected: int,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch,
+    tmp_path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == expected
+    # Within its bounds, the number is no problem, but the missing input is one.
+    message = capsys.readouterr().err
+    assert ("none" in message) == (expected == 1), message
+    assert expected == 1 or words[-2] in message
