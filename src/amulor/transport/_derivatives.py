@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,36 @@ __all__ = ["Derivatives", "PhaseFunctionChange"]
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: Parameters of a receiver, in the order of their scores.
+_RECEIVER = (
+    "receiver_right",
+    "receiver_down",
+    "receiver_radius",
+    "receiver_tilt_right",
+    "receiver_tilt_down",
+)
 #: Parameters that have no phase function.
-_PARAMETERS = ("absorption", "scattering", "reflectance")
+_PARAMETERS = ("absorption", "scattering", "reflectance", "range", *_RECEIVER)
+
+
+#: Largest distance of the source from the plane of the receiver's face, over the range.
+#: The derivative to the range is wrong by about as much [1].
+_LEVEL = 0.01
+
+
+class Range(NamedTuple):
+    """Numbers of the derivative to the range, which the other derivatives give."""
+
+    range: float
+    """Distance from the source to the target along the beam [m]."""
+    attenuation: float
+    """Attenuation coefficient [1/m]."""
+    scattering: float
+    """Scattering coefficient [1/m]."""
+    right: float
+    """Place of the source to the right of the receiver [m]."""
+    down: float
+    """Place of the source below the receiver [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,6 +104,10 @@ class Derivatives:
     """Names of those with a score at each scattering."""
     score: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
     """Derivative of ln(b p), shape (events, layers, angle cells)."""
+    radius: float = 1.0
+    """Radius of the receiver [m]."""
+    distance: Range | None = None
+    """Numbers of the derivative to the range, if requested."""
 
     @classmethod
     def of(
@@ -112,17 +145,35 @@ class Derivatives:
                         "the derivative to reflectance needs a target with a "
                         "reflectance above 0"
                     )
+            elif name == "range" or name in _RECEIVER:
+                _refuse_receiver(problem, name)
             elif name != "absorption":
                 raise ValueError(
                     f"derivatives must be {', '.join(_PARAMETERS)} or a "
                     f"PhaseFunctionChange, got {name!r}"
                 )
+        distance = _range_of(problem) if "range" in names else None
+        if distance is not None and "scattering" not in events:
+            events.append("scattering")
+            inverse = 1 / distance.scattering if distance.scattering > 0 else 0.0
+            scores.append(np.full((1, water.value.shape[1]), inverse))
+        if any(name == "range" or name in _RECEIVER for name in names):
+            events += _RECEIVER
+            nothing = np.zeros((water.albedo.size, water.value.shape[1]))
+            scores += [nothing] * len(_RECEIVER)
         shape = (len(events), *water.albedo.shape, water.value.shape[1])
         return cls(
             names=names,
             events=tuple(events),
             score=np.array(scores, dtype=np.float64).reshape(shape),
+            radius=problem.face.radius,
+            distance=distance,
         )
+
+    @property
+    def moved(self) -> bool:
+        """Whether there are scores of the receiver's place, size and tilt."""
+        return _RECEIVER[0] in self.events
 
     @property
     def scores(self) -> tuple[str, ...]:
@@ -133,28 +184,82 @@ class Derivatives:
     @property
     def lengths(self) -> bool:
         """Whether light times path length is recorded."""
-        return "absorption" in self.names or "scattering" in self.names
+        return not {"absorption", "scattering", "range"}.isdisjoint(self.names)
 
     @property
     def digest(self) -> str:
         """Text that tells runs with different derivatives apart."""
         return f" {self.names} {digest_of(self.score)}" if self.names else ""
 
-    def rows(self, scored: Complex, length: Complex) -> Complex:
+    def rows(self, scored: Complex, length: Complex, wavenumber: Complex) -> Complex:
         """Return the derivatives of water and target, two rows for each parameter.
 
         scored has two rows for each score, length is light times path length.
         """
+        events = {name: scored[2 * k : 2 * k + 2] for k, name in enumerate(self.scores)}
         rows = []
         for name in self.names:
-            row = np.zeros_like(length)
-            if name in self.scores:
-                first = 2 * self.scores.index(name)
-                row = scored[first : first + 2]
+            row = events.get(name, np.zeros_like(length))
             if name in ("absorption", "scattering"):
                 row = row - length
+            elif name == "receiver_radius":
+                row = row / self.radius
+            elif name == "range" and self.distance is not None:
+                row = self._range(events, length, wavenumber)
             rows.append(row)
         return np.concatenate([*rows, length[:0]])
+
+    def _range(
+        self, events: dict[str, Complex], length: Complex, wavenumber: Complex
+    ) -> Complex:
+        """Return the derivative to the range.
+
+        With N scatterings, light changes by N + (q - c) L with the logarithm of all
+        lengths together. Range, place and radius of the receiver are all of them.
+        """
+        distance = self.distance
+        assert distance is not None
+        scaled: Complex = distance.scattering * events["scattering"]
+        scaled = scaled + (wavenumber - distance.attenuation) * length
+        scaled += distance.right * events["receiver_right"]
+        scaled += distance.down * events["receiver_down"]
+        scaled -= events["receiver_radius"]
+        return scaled / distance.range
+
+
+def _refuse_receiver(problem: Problem, name: str) -> None:
+    """Raise a ValueError unless the receiver is Gaussian, without a sharp edge."""
+    if not problem.face.gaussian:
+        raise ValueError(
+            f"the derivative to {name} needs a GaussianReceiver: a sharp edge has no "
+            "derivative along a path"
+        )
+
+
+def _range_of(problem: Problem) -> Range:
+    """Return the numbers of the derivative to the range; ValueError without one."""
+    beam, surface, water = problem.beam, problem.surface, problem.water
+    scattering = float((water.albedo * water.attenuation)[0])
+    if not (surface.has_plane and problem.medium.unbounded and water.albedo.size == 1):
+        raise ValueError(
+            "the derivative to range needs a PlaneTarget in water without layers and "
+            "bounds"
+        )
+    above = float(surface.normal @ beam.centre - surface.height)
+    distance = above / -float(surface.normal @ beam.axis)
+    if beam.radius > 0 or abs(beam.centre[2]) > _LEVEL * distance:
+        raise ValueError(
+            "the derivative to range needs a beam without width that starts in the "
+            f"plane of the receiver's face, got a radius of {beam.radius:g} m, "
+            f"{beam.centre[2]:g} m before the face"
+        )
+    return Range(
+        range=distance,
+        attenuation=float(water.attenuation[0]),
+        scattering=scattering,
+        right=float(beam.centre[0]),
+        down=float(beam.centre[1]),
+    )
 
 
 def _phase_score(change: PhaseFunctionChange, value: Array, problem: Problem) -> Array:

@@ -483,7 +483,7 @@ class Record:
                 if derivatives.lengths
                 else np.zeros_like(self.beyond[:2])
             )
-            scored = derivatives.rows(self.beyond[parts:rows], length)
+            scored = derivatives.rows(self.beyond[parts:rows], length, self.wavenumber)
             signal = np.concatenate([signal, scored])
         return Batch(
             number=number,

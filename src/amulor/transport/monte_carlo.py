@@ -193,7 +193,10 @@ def simulate(
     derivatives : sequence of str or PhaseFunctionChange
         Parameters to which `Tally.derivative` gives the derivatives of the light:
         "absorption" and "scattering" (of all layers at once, at a constant value of
-        the other), "reflectance", and changes of the phase function.
+        the other), "reflectance", and changes of the phase function. With a
+        `GaussianReceiver`: "receiver_right", "receiver_down", "receiver_radius",
+        "receiver_tilt_right" and "receiver_tilt_down", in the axes of the receiver.
+        In uniform water with a `PlaneTarget`: "range", along the beam.
 
     Returns
     -------
@@ -363,6 +366,7 @@ class _Run:
         )
         scene = self.problem.scene
         water = scene.water._replace(score=self.derivatives.score)
+        face = scene.face._replace(moved=self.derivatives.moved)
         chosen = self.technique
         direct = chosen.direct
         if direct is None:
@@ -382,7 +386,7 @@ class _Run:
         )
         reached = _batch_kernels.run_batch(
             random_state(self.seed, number),
-            scene._replace(water=water),
+            scene._replace(water=water, face=face),
             plan,
             record.arrays(chosen.scattering_orders),
             weight,

@@ -503,7 +503,7 @@ class Tally:
         and K reflections this factor is -L for the absorption, :math:`N / b - L` for
         the scattering and K over reflectance for the reflectance. For a parameter of
         the phase function it is the sum of :math:`\partial \ln p / \partial q` over
-        the scatterings.
+        the scatterings. The theory page has those of the receiver and the range.
 
         Examples
         --------

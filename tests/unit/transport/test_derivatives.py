@@ -100,6 +100,117 @@ def test_a_plate_in_dark_water_is_the_integral_over_the_face():
         np.testing.assert_array_equal(tally.derivative(name)[0], slope)
 
 
+RECEIVER = {
+    "receiver_right": 0.05, "receiver_down": 0.01, "receiver_radius": 0.03,
+    "receiver_tilt_right": 0.0, "receiver_tilt_down": 0.0, "range": 1.2,
+}  # fmt: skip
+
+
+def eye(values=RECEIVER):
+    """Return a Gaussian receiver at a place."""
+    return GaussianReceiver(
+        radius=values["receiver_radius"], acceptance_angle=0.06,
+        position=(values["receiver_right"], values["receiver_down"], 0),
+    )  # fmt: skip
+
+
+def seen_plate(values, absorption):
+    """Return the light of a tilted plate in dark water, by an integral over the face.
+
+    The sensitivity is exp(-s^2 / R^2 - theta^2 / gamma^2), with theta about an axis
+    that is tilted while the face is not.
+    """
+    node, weight = leggauss(80)
+    x, y = np.meshgrid(0.15 * node, 0.15 * node)
+    area = 0.15**2 * np.outer(weight, weight)
+    distance, normal = values["range"], np.array([0.28, 0.0, -0.96])
+    way = np.stack(
+        [
+            -values["receiver_right"] - x,
+            -values["receiver_down"] - y,
+            np.full(x.shape, distance),
+        ]
+    )
+    length = np.linalg.norm(way, axis=0)
+    right, down = values["receiver_tilt_right"], values["receiver_tilt_down"]
+    axis = np.array([np.sin(right), np.sin(down), 1.0])
+    axis[2] = np.sqrt(1 - axis[0] ** 2 - axis[1] ** 2)
+    angle = np.arccos(np.tensordot(axis, way, 1) / length)
+    leaving = -np.tensordot(normal, way, 1) / length
+    sensitivity = np.exp(
+        -(x**2 + y**2) / values["receiver_radius"] ** 2 - (angle / 0.06) ** 2
+    )
+    light = 0.6 / np.pi * leaving * way[2] / length**3 * area * sensitivity
+    phasor = np.exp((WAVE[:, None, None] - absorption) * (distance + length))
+    return np.sum(light * phasor, axis=(1, 2))
+
+
+def test_a_plate_has_the_derivatives_of_the_integral_over_a_gaussian_face():
+    target = PlaneTarget(position=(0, 0, 1.2), normal=(0.28, 0, -0.96), reflectance=0.6)
+    tally = run(
+        0.4, 0.0, isotropic(), target=target, receiver=eye(), histories=40_000,
+        derivatives=tuple(RECEIVER),
+    )  # fmt: skip
+    light = seen_plate(RECEIVER, 0.4)
+    error = np.sqrt(np.trace(tally.target_covariance, axis1=1, axis2=2))
+    assert np.all(np.abs(tally.target_signal - light) < 4 * error)
+    for name, value in RECEIVER.items():
+        above, below = (
+            seen_plate(RECEIVER | {name: value + sign * 1e-4}, 0.4) for sign in (1, -1)
+        )
+        expected = (above - below) / 2e-4
+        slope, covariance = tally.derivative(name, "target")
+        error = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+        scale = np.abs(light) / (1.2 if name == "range" else 0.06)
+        assert np.all(error < 0.1 * scale), name
+        assert np.all(np.abs(slope - expected) < 4 * error), name
+
+
+def test_thin_water_has_the_derivatives_of_a_shifted_and_tilted_receiver():
+    # A point on the beam at the depth z is x + z tilt away from the axis; of the face,
+    # an area of pi R^2 z^2 gamma^2 / (R^2 + z^2 gamma^2) sees it, times
+    # exp(-(x + z tilt)^2 / (R^2 + z^2 gamma^2)).
+    values = {
+        "receiver_right": 0.03, "receiver_radius": 0.02, "receiver_tilt_right": 0.0
+    }  # fmt: skip
+    gamma, backwards = 0.04, henyey_greenstein_function(asymmetry=0.3).at_180
+    node, weight = leggauss(60)
+
+    def single(values):
+        radius, total = values["receiver_radius"], 0j
+        for low, high in pairwise(np.geomspace(0.02, 80.0, 16)):
+            z = 0.5 * (low + high) + 0.5 * (high - low) * node
+            both = radius**2 + (z * gamma) ** 2
+            off = values["receiver_right"] + z * values["receiver_tilt_right"]
+            area = np.pi * (radius * z * gamma) ** 2 / both * np.exp(-(off**2) / both)
+            light = 0.002 * backwards * area / z**2
+            phasor = np.exp(2 * np.outer(WAVE - 0.402, z))
+            total = total + phasor @ (light * weight) * 0.5 * (high - low)
+        return total
+
+    receiver = GaussianReceiver(
+        radius=0.02, acceptance_angle=gamma, position=(0.03, 0, 0)
+    )
+    tally = run(
+        0.4, 0.002, henyey_greenstein_function(asymmetry=0.3), receiver=receiver,
+        histories=40_000, derivatives=(*values, "receiver_down"),
+    )  # fmt: skip
+    light = np.abs(single(values))
+    for name, value in values.items():
+        above, below = (
+            single(values | {name: value + sign * 1e-4}) for sign in (1, -1)
+        )
+        expected = (above - below) / 2e-4
+        slope, covariance = tally.derivative(name)
+        error = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+        assert np.all(error < 0.1 * light[0] / 0.02), name
+        # Twice scattered light and angles that are not small: some percent.
+        assert np.all(np.abs(slope - expected) < 4 * error + 0.03 * np.abs(expected))
+    slope, covariance = tally.derivative("receiver_down")
+    error = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    assert np.all(np.abs(slope) < 4 * error)
+
+
 def single_scattering(absorption, scattering, asymmetry):
     """Return singly scattered light of a coaxial, narrow Gaussian receiver.
 
@@ -218,6 +329,24 @@ def test_derivatives_are_resumed_merged_and_delayed_with_the_light():
         ({"derivatives": ("absorption",) * 2}, "derivatives must have different names"),
         ({"derivatives": ("reflectance",)}, "needs a target"),
         ({"derivatives": ("scattering",), "scattering": 0.0}, "layers that all"),
+        (
+            {"derivatives": ("receiver_tilt_down",)},
+            "derivative to receiver_tilt_down needs a GaussianReceiver",
+        ),
+        (
+            {"derivatives": ("range",), "receiver": eye()},
+            "derivative to range needs a PlaneTarget in water without layers",
+        ),
+        (
+            {
+                "derivatives": ("range",),
+                "target": PLATE,
+                "receiver": GaussianReceiver(
+                    radius=0.02, acceptance_angle=0.1, position=(0.07, 0, 0.1)
+                ),
+            },
+            "needs a beam without width .* got a radius of 0 m, -0.1 m before",
+        ),
     ],
 )
 def test_a_parameter_that_has_no_derivative_is_refused(options, message):

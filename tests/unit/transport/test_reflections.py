@@ -91,7 +91,12 @@ def joined(kind, forward, adjoint, plan=PLAN, seed=0):
         np.zeros(1, complex), 0.02, 1,
     )  # fmt: skip
     arrival = Arrival(
-        np.zeros(1), np.zeros(19), np.zeros((2, 1)), np.zeros(0), np.zeros(1)
+        np.zeros(1),
+        np.zeros(19),
+        np.zeros((2, 1)),
+        np.zeros(0),
+        np.zeros(1),
+        np.zeros(1),
     )
     weight = np.zeros((GROUPS, 2, 1))
     scene = Scene(None, Face(FACE, 0.1, False), None, target_of(NORMALS[kind]))

@@ -187,6 +187,7 @@ def run_batch(
         np.zeros((2, components)),
         np.zeros((record.mass.shape[0] - record.orders - 2) // 2),
         np.zeros(components),
+        np.zeros(1),
     )
     now = np.zeros(ADJOINT_COLUMNS + events)
     none = no_cells()

@@ -20,6 +20,7 @@ from amulor.transport._kernels.sampling import (
     uniform,
 )
 from amulor.transport._kernels.trace import (
+    DOWN,
     FIRST_SEGMENT,
     FIRST_TOUCH,
     LAYER,
@@ -33,9 +34,14 @@ from amulor.transport._kernels.trace import (
     ORDER,
     PARTITION,
     PER_Z,
+    RECEIVER_SCORES,
+    RIGHT,
     SEGMENT_COLUMNS,
+    SIZE,
     SLOPE_X,
     SLOPE_Y,
+    TILT_DOWN,
+    TILT_RIGHT,
     TOUCH_COLUMNS,
     TOUCH_LENGTH,
     TOUCH_NX,
@@ -54,6 +60,7 @@ from amulor.transport._kernels.trace import (
     X,
     Y,
     order_weight,
+    tilt_scores,
 )
 from amulor.transport._kernels.types import (
     Array,
@@ -217,6 +224,34 @@ def transform(
                         row[x] += light * points[x] + step_of_light * ramps[x]
 
 
+@step
+def place_scores(
+    px: float, py: float, face: Face, events: int, arrival: Arrival
+) -> None:
+    """Set the scores of light at a place on the face: shift and radius.
+
+    The sensitivity exp(-s^2 / R^2) at the distance s from the center changes by
+    2 s / R^2 with a shift along s, and by 2 s^2 / R^2 with ln R.
+    """
+    first = events - RECEIVER_SCORES
+    scale = 2.0 / (face.radius * face.radius)
+    arrival.score[first + RIGHT] = scale * px
+    arrival.score[first + DOWN] = scale * py
+    arrival.score[first + SIZE] = scale * (px * px + py * py)
+
+
+@step
+def direct_scores(
+    px: float, py: float, m: Vector, face: Face, events: int, arrival: Arrival
+) -> None:
+    """Set the scores of the receiver for light that arrives at its face along m."""
+    place_scores(px, py, face, events, arrival)
+    right, down = tilt_scores((-m[0], -m[1], -m[2]), face)
+    first = events - RECEIVER_SCORES
+    arrival.score[first + TILT_RIGHT] = right
+    arrival.score[first + TILT_DOWN] = down
+
+
 @kernel
 def face_and_acceptance(state: States, face: Face) -> tuple[float, float]:
     """Return radius and acceptance angle of a receiver; random if it is Gaussian.
@@ -346,6 +381,9 @@ def direct_from_segments(
         for k in range(water.score.shape[0]):
             arrival.score[k] = segment[i, SEGMENT_COLUMNS + k]
             arrival.score[k] += water.score[k, layer, cell]
+        if scene.face.moved:
+            events = water.score.shape[0]
+            direct_scores(px, py, m, scene.face, events, arrival)
         add_scores(record, WATER, length, length, arrival)
 
 
@@ -430,4 +468,7 @@ def direct_from_touches(
         length = touch[i, TOUCH_LENGTH] + distance
         add_point(record, record.orders if direct else record.orders + 1, length, out)
         touch_scores(touch, i, target.reflectance, arrival)
+        if scene.face.moved:
+            events = water.score.shape[0]
+            direct_scores(px, py, m, scene.face, events, arrival)
         add_scores(record, TARGET, length, length, arrival)

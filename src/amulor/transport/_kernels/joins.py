@@ -17,6 +17,7 @@ from amulor.transport._kernels.contributions import (
     add_range,
     add_scores,
     add_to,
+    place_scores,
 )
 from amulor.transport._kernels.mesh import blocked
 from amulor.transport._kernels.polarization import connected
@@ -66,6 +67,8 @@ from amulor.transport._kernels.types import (
 _MANY_PAIRS = 20_000
 #: Cells that a segment may lie in; longer ones are compared with all.
 _MOST_CELLS = 64
+#: Golden ratio less 1, the step of an even sequence of fractions.
+_GOLDEN = 0.6180339887498949
 #: Cell numbers are packed in 21 bits each.
 _BITS = 21
 
@@ -319,6 +322,16 @@ def join_pair(
         arrival.score[k] = first[i, column] + second[j, column]
         arrival.score[k] += water.score[k, layer, cell]
     add_scores(record, WATER, low, high, arrival)
+    if scene.face.moved:
+        # The place on the face changes with z, of which one value is drawn.
+        fraction = arrival.fraction[0] + _GOLDEN
+        arrival.fraction[0] = fraction - math.floor(fraction)
+        z = z_low + (z_high - z_low) * arrival.fraction[0]
+        px = first[i, X] - second[j, X] + z * (first[i, SLOPE_X] - second[j, SLOPE_X])
+        py = first[i, Y] - second[j, Y] + z * (first[i, SLOPE_Y] - second[j, SLOPE_Y])
+        arrival.score[:] = 0.0
+        place_scores(px, py, scene.face, water.score.shape[0], arrival)
+        add_scores(record, WATER, start + slope * z, start + slope * z, arrival)
 
 
 @step

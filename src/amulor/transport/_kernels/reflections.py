@@ -19,6 +19,7 @@ from amulor.transport._kernels.contributions import (
     add_point,
     add_scores,
     add_to,
+    place_scores,
     touch_scores,
 )
 from amulor.transport._kernels.joins import path_blocked
@@ -65,6 +66,7 @@ from amulor.transport._kernels.trace import (
 from amulor.transport._kernels.types import (
     Array,
     Arrival,
+    Face,
     Integers,
     Paths,
     Plan,
@@ -235,6 +237,7 @@ def join_touch(
     pair: tuple[int, int],
     share: float,
     target: Target,
+    face: Face,
     plan: Plan,
     record: Record,
     arrival: Arrival,
@@ -296,6 +299,8 @@ def join_touch(
     touch_scores(touch, i, target.reflectance, arrival)
     for k in range(touch.shape[1] - TOUCH_COLUMNS):
         arrival.score[k] += second[j, SEGMENT_COLUMNS + k]
+    if face.moved:
+        place_scores(px, py, face, touch.shape[1] - TOUCH_COLUMNS, arrival)
     add_scores(record, TARGET, length, length, arrival)
     return True
 
@@ -356,6 +361,7 @@ def join_touches(
                     (i, j),
                     stride / groups,
                     scene.target,
+                    scene.face,
                     plan,
                     record,
                     arrival,

@@ -342,7 +342,7 @@ def run_slab(
     components = 4 if light.polarized else 1
     none = np.zeros(0)
     arrival = Arrival(
-        np.zeros(components), path_matrix, np.zeros((2, components)), none, none
+        np.zeros(components), path_matrix, np.zeros((2, components)), none, none, none
     )
     now = np.zeros(7)
     follow_photons(state, histories, light, water, record, arrival, now)

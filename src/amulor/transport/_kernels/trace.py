@@ -28,6 +28,7 @@ from amulor.transport._kernels.polarization import (
 from amulor.transport._kernels.sampling import draw_height, exponential, uniform
 from amulor.transport._kernels.types import (
     Array,
+    Face,
     Kind,
     Past,
     Paths,
@@ -384,6 +385,25 @@ def trace(
     return False, Walk(ray, past, thickness, triangle)
 
 
+#: Scores of the receiver, the last ones: right, down, radius, tilts right and down.
+RIGHT, DOWN, SIZE, TILT_RIGHT, TILT_DOWN = range(5)
+RECEIVER_SCORES = 5
+
+
+@step
+def tilt_scores(n: Vector, face: Face) -> tuple[float, float]:
+    """Return the scores of light that arrives against n, for tilts right and down.
+
+    A tilt to the right by d changes the angle theta of the light to the axis by
+    -d cos(azimuth), and exp(-theta^2 / gamma^2) by 2 theta cos(azimuth) / gamma^2.
+    """
+    across = math.sqrt(n[0] * n[0] + n[1] * n[1])
+    if across == 0.0:
+        return 0.0, 0.0
+    scale = 2.0 * math.atan2(across, n[2]) / (across * face.acceptance**2)
+    return scale * n[0], scale * n[1]
+
+
 @allocating
 def follow(
     state: States,
@@ -403,6 +423,10 @@ def follow(
     past = Past(first, layer, 0.0, 0.0, math.inf, 0.0, 0.0)
     now[0], now[1], now[2] = ray.axis
     now[ADJOINT_COLUMNS:] = 0.0
+    if kind.adjoint and scene.face.moved:
+        right, down = tilt_scores(ray.direction, scene.face)
+        now[now.size - RECEIVER_SCORES + TILT_RIGHT] = right
+        now[now.size - RECEIVER_SCORES + TILT_DOWN] = down
     walk = Walk(ray, past, thickness, -1.0)
     while True:
         ended, walk = trace(state, walk, kind, scene.water, scene.target, paths, now)

@@ -141,6 +141,8 @@ class Face(NamedTuple):
     """Half-angle gamma of the acceptance cone [rad]."""
     gaussian: bool
     """Whether R and gamma are the 1/e widths of a Gaussian receiver."""
+    moved: bool = False
+    """Whether the last five scores are those of the receiver's place, size and tilt."""
 
 
 class Scene(NamedTuple):
@@ -288,3 +290,5 @@ class Arrival(NamedTuple):
     """Scores of a pair of paths: derivatives of the logarithm of its light."""
     scaled: Array
     """Received light times a score."""
+    fraction: Array
+    """A fraction from 0 to 1 that moves on by the golden ratio."""
