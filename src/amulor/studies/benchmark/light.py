@@ -51,7 +51,7 @@ ALL = np.unique([0.0, *(f for some in FREQUENCIES.values() for f in some)])
 #: Distances of a plate in the table, relative to that of the scene [m], ...
 _NODES = np.array([-0.12, 0.0, 0.10])
 #: ... and in the scenes, interpolated.
-OFFSETS = np.array([-0.12, 0.0, 0.01, 0.03, 0.06, 0.10])
+OFFSETS = np.array([-0.12, 0.0, 0.01, 0.03, 0.06, 0.10, 0.12])
 #: Relative error at which a run stops [1], and its longest time [s].
 _ERROR, _TIME, _HISTORIES = 1e-3, 30.0, 20_000_000
 

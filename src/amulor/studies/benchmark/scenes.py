@@ -40,15 +40,18 @@ _REPEATS = 60
 #: Phase uncertainty that the survey states: of a calibrated instrument, and of the
 #: photon noise of the light [rad].
 _PHASE = np.radians(0.2)
-#: Part of the light of a mixed pixel that meets the nearer surface [1].
-_SHARE = 0.4
+#: Part of the light of a mixed pixel that meets the nearer surface [1], and parts of
+#: three surfaces, the nearest first.
+_SHARE, _THREE = 0.4, (0.3, 0.4, 0.3)
+#: Places of the treads of stairs, the farthest first [m].
+_TREADS = np.array([0.10, 0.06, 0.03, 0.01, 0.0])
 #: Reflectance of dark spots, relative to bright ones [1].
 _DARK = 1 / 3
 #: Growth of the water signal of the disturbance "drift" [1], and the ratio of true to
 #: stated noise of "noise" [1].
 _DRIFT, _NOISE = 0.03, 2.0
 
-Layout = Literal["plate", "stairs", "edges", "net", "two", "empty"]
+Layout = Literal["plate", "stairs", "edges", "net", "two", "three", "empty"]
 Frequencies = Literal["one", "two", "four", "sixteen", "sweep"]
 
 
@@ -77,7 +80,8 @@ class Scene(BaseModel):
     """Distance of the plate, of the table [m]."""
     layout: Layout = "plate"
     """Arrangement of the surfaces: a plate, stairs of five treads, an object 12 cm in
-    front of a plate, a net 12 cm in front of it, two surfaces in each beam, or none."""
+    front of a plate, a net 12 cm in front of it, two or three surfaces 12 cm apart in
+    each beam, or none."""
     reflectance: Annotated[float, Field(gt=0, le=1)] = 0.1
     """Reflectance of the surfaces, of bright spots if there are spots [1]."""
     texture: bool = False
@@ -259,12 +263,15 @@ def _survey(scene: Scene) -> Survey:
 def _arranged(scene: Scene, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return shares of the beam by offset, row and column, and reflectances [1]."""
     share = np.zeros((light.OFFSETS.size, ROWS, COLUMNS))
-    near, plain = (int(np.abs(light.OFFSETS - step).argmin()) for step in (-0.12, 0.0))
+    near, plain, far = (
+        int(np.abs(light.OFFSETS - step).argmin()) for step in (-0.12, 0.0, 0.12)
+    )
     rows, columns = np.arange(ROWS)[:, None], np.arange(COLUMNS)
     if scene.layout == "stairs":
-        # The farthest tread first.
-        tread = light.OFFSETS.size - 1 - 5 * columns // COLUMNS
-        share[tread, :, columns] = 1.0
+        place = _TREADS[_TREADS.size * columns // COLUMNS]
+        share[np.searchsorted(light.OFFSETS, place), :, columns] = 1.0
+    elif scene.layout == "three":
+        share[[near, plain, far]] = np.array(_THREE)[:, None, None]
     elif scene.layout != "empty":
         part = np.zeros((ROWS, COLUMNS))
         if scene.layout == "two":
