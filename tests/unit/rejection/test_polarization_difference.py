@@ -256,6 +256,28 @@ def test_crossed_light_of_water_comes_later() -> None:
     assert 0 < delay["coastal"] < 0.1e-9 < 0.3e-9 < delay["harbor"] < 0.6e-9
 
 
+def range_of(signal: np.ndarray, distance: float) -> float:
+    """Return the range of the best echo of equal amplitude, without noise."""
+    wave = 2 * np.pi * np.array(FREQUENCY) * 1.38 / 299792458.0
+    grid = np.arange(2 * distance - 1, 2 * distance + 1, 1e-4)
+    match = (signal @ np.exp(-1j * np.outer(wave, grid))).real
+    return float(grid[match.argmax()] / 2)
+
+
+def test_simpler_differences_leave_the_bias_of_the_page() -> None:
+    # The row of harbor water at 1.37 m in docs/theory/rejection.md.
+    target, water, open_water = (
+        light("harbor", distance, kind)
+        for distance, kind in ((1.37, "target"), (1.37, "water"), (0.0, "water"))
+    )
+    parallel, crossed = (target + water).T
+    ratio = (open_water[0, 1] / open_water[0, 0]).real
+    signals = (parallel, crossed, parallel - crossed, crossed - ratio * parallel)
+    true = range_of(target[:, 0], 1.37)
+    biases = [1e3 * (range_of(signal, 1.37) - true) for signal in signals]
+    np.testing.assert_allclose(biases, [-11.8, -2.6, -14.8, 1.0], atol=0.15)
+
+
 @pytest.mark.parametrize(
     ("water", "distance"), [("harbor", 1.37), ("coastal", 2.5), ("milk", 1.5)]
 )
