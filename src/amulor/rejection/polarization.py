@@ -306,6 +306,7 @@ class FluctuationFit:
 def _unmix(
     cube: xr.Dataset,
     *,
+    interval: tuple[float, float] | None = None,
     target_ratio: float | None = None,
     water_ratio: float | None = None,
     target_ratio_uncertainty: float = 0.0,
@@ -324,7 +325,7 @@ def _unmix(
     cause = WaterResidualCause(0) if fit is None else fit.contradiction
     if target_ratio is None:
         if of_target is None:
-            subtracted = subtract_open_water(scan)
+            subtracted = subtract_open_water(scan, interval=interval)
             of_target = ratios.ratio_of(cube_of(scan, subtracted)[0])
             # Leakage in the references is in the scan, too, and unmixing amplifies it.
             cause = WaterResidualCause.INSTRUMENT & contradiction(
@@ -424,6 +425,7 @@ def _unmix(
 def polarization(
     cube: xr.Dataset,
     *,
+    interval: tuple[float, float] | None = None,
     target_ratio: float | None = None,
     water_ratio: float | None = None,
     target_ratio_uncertainty: float = 0.0,
@@ -436,6 +438,9 @@ def polarization(
     ----------
     cube : xarray.Dataset
         Level `samples`, with a co-polarized channel and its cross-polarized partner.
+    interval : tuple of float, optional
+        Nearest and farthest possible slant range [m], for the estimate of an omitted
+        ratio of the target. From 0 to the unambiguous range by default.
     target_ratio, water_ratio : float, optional
         Cross-polarized over co-polarized signal of target and water, between 0 and 1
         and different from each other; :math:`(1 - m_{22}) / (1 + m_{22})` for linear
@@ -483,6 +488,7 @@ def polarization(
     """
     return _unmix(
         cube,
+        interval=interval,
         target_ratio=target_ratio,
         water_ratio=water_ratio,
         target_ratio_uncertainty=target_ratio_uncertainty,
