@@ -67,6 +67,8 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
         for name, model in {
             "pointing": "Pointing",
             "clock": "Clock",
+            "plume": "Plume",
+            "bubbles": "Bubbles",
             "drift": "Drift",
             "optical_leakage": "OpticalLeakage",
             "counting": "Counting",

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from amulor.optics.polarization import mueller
 from amulor.simulation import lock_in
@@ -20,8 +21,9 @@ from amulor.simulation.geometry import Setup
 from amulor.simulation.lock_in import Light
 from amulor.survey import InstrumentErrors, Survey
 from amulor.survey.directions import Floats, readings_in_turn
-from amulor.survey.instrument_errors import Crosstalk, OpticalLeakage, Part
+from amulor.survey.instrument_errors import Bubbles, Crosstalk, OpticalLeakage, Part
 from amulor.survey.mueller import matrix
+from amulor.survey.properties import water_properties
 
 __all__ = ["Chain"]
 
@@ -30,7 +32,9 @@ Directions = tuple[Floats, Floats, Floats]
 _Draw = Callable[[], Floats]
 
 #: Purposes of random numbers, each with separate generators.
-_POINTING, _WHITE, _PINK, _WHITE_SHOTS, _WHITE_REFERENCE = range(5)
+(
+    _POINTING, _WHITE, _PINK, _WHITE_SHOTS, _WHITE_REFERENCE, _BUBBLES, _BUBBLES_SHOTS,
+) = range(7)  # fmt: skip
 #: Number of tones that represent pink noise.
 _TONES = 64
 #: Orders of harmonics that four samples a period turn into the conjugate.
@@ -135,10 +139,29 @@ class Chain:
         )
 
     def scan_samples(
-        self, target: Light, water: Light, time: Floats, *, rng: lock_in.Noise
+        self,
+        target: Light,
+        water: Light,
+        time: Floats,
+        *,
+        azimuth: Floats,
+        rng: lock_in.Noise,
     ) -> lock_in.Samples:
         """Draw lock-in samples of scan rows for given start times of the pixels."""
         rows = self._rows(time)
+        bubbles = [
+            self._bubbles(
+                [_BUBBLES, int(row)],
+                Light(water.modulated[:, :, k], water.mean[:, :, k]),
+                part="scan",
+            )
+            for k, row in enumerate(rows)
+        ]
+        target, water = self._behind_plume(target, water, azimuth)
+        water = water + Light(
+            np.stack([light.modulated for light in bubbles], axis=2),
+            np.stack([light.mean for light in bubbles], axis=2),
+        )
         shape = (2, *self._plane, self.survey.scan.columns)
         return self._samples(
             target,
@@ -154,6 +177,7 @@ class Chain:
         """Draw lock-in samples of open-water references, in the order of recording."""
         count = water.mean.shape[-1]
         generator = np.random.default_rng([self.entropy, _WHITE_SHOTS])
+        water = water + self._bubbles([_BUBBLES_SHOTS], water, part="open_water")
         return self._samples(
             Light(np.zeros_like(water.modulated), np.zeros_like(water.mean)),
             water,
@@ -279,6 +303,48 @@ class Chain:
         signal = self._received(signal, time, part=part)
         return replace(samples, signal=self._demodulated(signal, time, white))
 
+    def _behind_plume(
+        self, target: Light, water: Light, azimuth: Floats
+    ) -> tuple[Light, Light]:
+        """Return the light of target and water with a plume across the scan.
+
+        The plume weakens the echo. Most light of the water comes from in front of it.
+        """
+        plume = self.errors.plume
+        if plume is None:
+            return target, water
+        profile = np.ones(azimuth.shape)
+        if plume.width is not None:
+            profile = np.exp(-(((azimuth - plume.azimuth) / plume.width) ** 2) / 2)
+        passed = np.exp(-2 * plume.optical_thickness * profile)
+        mean = plume.fraction * profile * water.mean
+        added = Light(mean * self._turn(plume.distance, mean.ndim), mean)
+        return _scaled(target, modulated=passed, mean=passed), water + added
+
+    def _bubbles(self, key: list[int], water: Light, *, part: Part) -> Light:
+        """Return the light of bubbles in samples of a row or of the references [1]."""
+        bubbles = self.errors.bubbles
+        modulated = np.zeros(water.mean.shape, dtype=complex)
+        mean = np.zeros(water.mean.shape)
+        if bubbles is None or not _has(bubbles, part):
+            return Light(modulated, mean)
+        generator = np.random.default_rng([self.entropy, *key])
+        count = generator.poisson(bubbles.number, mean.shape)
+        for number in range(int(count.max())):
+            distance = generator.uniform(bubbles.nearest, bubbles.farthest, mean.shape)
+            light = bubbles.fraction * (bubbles.nearest / distance) ** 2 * water.mean
+            light = np.where(count > number, light, 0.0)
+            mean += light
+            modulated += light * self._turn(distance, mean.ndim)
+        return Light(modulated, mean)
+
+    def _turn(self, distance: Floats | float, axes: int) -> Complex:
+        """Return the phase factor of light from a distance, (frequency, ...) [1]."""
+        frequency = self._light_frequencies.reshape(-1, *[1] * (axes - 1))
+        index = water_properties(self.survey).group_index
+        turns = 2 * frequency * index * distance / speed_of_light
+        return np.asarray(np.exp(2j * np.pi * turns))
+
     def _detected(self, light: Light, *, part: Part) -> Light:
         """Return the detected light, with leakage, dead time and after-pulses."""
         leakage, counter = self.errors.optical_leakage, self.errors.counting
@@ -387,7 +453,7 @@ class Chain:
         return np.asarray(total * np.sqrt(2 / _TONES))
 
 
-def _has(error: Crosstalk | OpticalLeakage, part: Part) -> bool:
+def _has(error: Bubbles | Crosstalk | OpticalLeakage, part: Part) -> bool:
     return error.part in ("all", part)
 
 

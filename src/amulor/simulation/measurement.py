@@ -281,7 +281,7 @@ def measured(
         true = chain.pointed(directions)
         geometries, target, column = _readings(setting, true, model=model)
         tell("noise and errors of the instrument", 0.7)
-        samples = chain.scan_samples(target, column, time, rng=noise)
+        samples = chain.scan_samples(target, column, time, azimuth=true[0], rng=noise)
         target, column = chain.fundamental(target), chain.fundamental(column)
     if setting.reference is not None:
         signal = setting.reference.scan(samples.signal, time)

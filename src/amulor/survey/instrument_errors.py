@@ -1,18 +1,19 @@
-"""Instrument errors that a simulation adds to samples, each with its parameters.
+"""Errors that a simulation adds to samples, of the instrument and of disturbed water.
 
 No method that evaluates a scan reads them: they are what a user does not know.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from amulor.survey.quantity import (
     Angle,
     Description,
     Fraction,
+    Length,
     Temperature,
     Time,
     Voltage,
@@ -35,6 +36,52 @@ class Pointing(Description):
     backlash: Annotated[Angle, Field(ge=0, le=0.5)] = 0.0
     """Difference in azimuth between rows scanned to the right and rows scanned to the
     left [rad]. Half of the difference is applied to each kind of row."""
+
+
+class Plume(Description):
+    """Plume of turbid water across the scan, which the references do not contain.
+
+    It has a normal profile over the azimuth. Without a width it is a layer in front of
+    the whole target.
+    """
+
+    fraction: Annotated[Fraction, Field(ge=0, le=100)]
+    """Light of the plume at its center, divided by the mean light of the water signal
+    [1]."""
+    distance: Annotated[Length, Field(gt=0, le=1e4)]
+    """Distance of the plume from the instrument [m]."""
+    optical_thickness: Annotated[Fraction, Field(ge=0, le=100)] = 0.0
+    """Attenuation coefficient times thickness at the center, for one passage [1]."""
+    azimuth: Annotated[Angle, Field(ge=-7, le=7)] = 0.0
+    """Azimuth of the center, to the right [rad]."""
+    width: Annotated[Angle, Field(gt=0, le=7)] | None = None
+    """Standard deviation of the profile over the azimuth [rad]."""
+
+
+class Bubbles(Description):
+    """Bubbles that pass the beam, at random distances."""
+
+    number: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+    """Mean number of bubbles in the beam during a sample; the number has a Poisson
+    distribution [1]."""
+    fraction: Annotated[Fraction, Field(ge=0, le=100)]
+    """Light of a bubble at the nearest distance, divided by the mean light of the water
+    signal [1]."""
+    nearest: Annotated[Length, Field(gt=0, le=1e4)]
+    """Least distance of a bubble from the instrument [m]."""
+    farthest: Annotated[Length, Field(gt=0, le=1e4)]
+    """Largest distance of a bubble from the instrument [m]."""
+    part: Part = "all"
+    """Affected samples: of the scan, of open-water shots, or both."""
+
+    @model_validator(mode="after")
+    def _nearest_is_before_farthest(self) -> Self:
+        if not self.nearest < self.farthest:
+            raise ValueError(
+                f"nearest ({self.nearest:g} m) must be below farthest "
+                f"({self.farthest:g} m): bubbles lie between them"
+            )
+        return self
 
 
 class Clock(Description):
@@ -217,6 +264,10 @@ class InstrumentErrors(Description):
     """Errors of the beam directions."""
     clock: Clock | None = None
     """Error of the modulation frequencies."""
+    plume: Plume | None = None
+    """Plume of turbid water across the scan."""
+    bubbles: Bubbles | None = None
+    """Bubbles in the beam."""
     drift: Drift | None = None
     """Drift of the power and modulation depth of the light, and of the phase and delay
     of the signal with crosstalk."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.constants import speed_of_light
 
 from amulor.errors import SurveyError
 from amulor.simulation import ClosureModel, simulate
@@ -22,6 +23,10 @@ SHOTS = "open_water_"
 ALL: dict[str, Any] = {
     "pointing": {"jitter": "1 mrad", "backlash": "2 mrad"},
     "clock": {"frequency_error": 1e-5},
+    "plume": {"fraction": 0.2, "distance": "1 m", "optical_thickness": 0.02,
+              "width": "2 deg"},
+    "bubbles": {"number": 0.3, "fraction": 0.1, "nearest": "0.5 m",
+                "farthest": "2 m"},
     "drift": {"phase": "1 deg", "delay": "30 ps", "power": -0.05,
               "modulation_depth": 0.02, "settling_time": "20 s"},
     "optical_leakage": {"fraction": 1e-9, "delay": "1 ns", "depolarization": 0.2},
@@ -384,6 +389,9 @@ def test_wrong_errors_are_refused(survey: Survey) -> None:
         survey.with_({"instrument.errors": {"crosstalk": {"amplitude": [1.0] * 3}}})
     with pytest.raises(SurveyError, match="no field of a survey"):
         survey.with_({"instrument.errors": {"gremlins": {}}})
+    bubbles = {"number": 1, "fraction": 1, "nearest": "2 m", "farthest": "1 m"}
+    with pytest.raises(SurveyError, match="must be below farthest"):
+        survey.with_({"instrument.errors": {"bubbles": bubbles}})
     with pytest.raises(SurveyError, match="found 4"):
         survey.with_({"instrument.errors": {"harmonic": {"order": 4, "fraction": 1}}})
 
@@ -403,3 +411,52 @@ def test_daylight_fills_the_dead_time(survey: Survey) -> None:
     assert 1 / (1 + daylight * 40e-12) < 0.9
     ratio = np.abs(outputs(dead)[:, 0] / outputs(whole)[:, 0])
     assert_allclose(ratio, live[:, 0] ** 2, rtol=0.02)
+
+
+def test_a_plume_adds_light_from_its_distance_to_the_scan_alone(
+    survey: Survey, perfect: xr.Dataset
+) -> None:
+    scan, shots = pair(perfect)
+    near, far = (
+        pair(simulated(survey, plume={"fraction": 2.0, "distance": distance}))
+        for distance in ("0.8 m", "1.3 m")
+    )
+    assert_array_equal(near[1], shots)
+    index = perfect.amulor.geometry["group_index"]
+    turns = 2 * FREQUENCIES * index * 0.5 / speed_of_light
+    expected = np.exp(2j * np.pi * turns)[:, None, None, None]
+    # Shot noise of the added light.
+    assert_allclose((far[0] - scan) / (near[0] - scan), expected + 0 * scan, atol=0.02)
+
+
+def test_a_plume_has_a_normal_profile_and_weakens_the_echo(
+    survey: Survey, perfect: xr.Dataset
+) -> None:
+    width = float(np.ptp(perfect["azimuth"].values)) / 2
+    wide, plume = (
+        outputs(simulated(survey, plume={"fraction": 2.0, "distance": "1 m", **more}))
+        - outputs(perfect)
+        for more in ({}, {"width": width})
+    )
+    profile = np.exp(-((perfect["azimuth"].values / width) ** 2) / 2)
+    assert_allclose(plume / wide, profile + 0 * wide, atol=0.02)
+    thick = {"fraction": 0.0, "distance": "1 m", "optical_thickness": 0.1}
+    lost = outputs(perfect) - outputs(simulated(survey, plume=thick))
+    echo = outputs(perfect, "truth_target_")
+    assert_allclose(lost / echo, 1 - np.exp(-0.2) + 0 * echo, atol=0.01)
+
+
+def test_bubbles_are_counted_by_their_light(
+    survey: Survey, perfect: xr.Dataset
+) -> None:
+    (scan, shots), places = pair(perfect), {"nearest": "1 m", "farthest": "1.0001 m"}
+    bubbles = {"number": 1.5, "fraction": 2.0, "part": "scan", **places}
+    seen = pair(simulated(survey, bubbles=bubbles))
+    assert_array_equal(seen[1], shots)
+    # A plume without a width is the light of a single bubble in each sample.
+    one = outputs(simulated(survey, plume={"fraction": 2.0, "distance": "1 m"}))
+    count = (seen[0] - scan) / (one - scan)
+    assert_allclose(count, np.round(count.real), atol=0.1)
+    # 96 numbers of a Poisson distribution: standard error of the mean 0.125.
+    assert count.real.mean() == pytest.approx(1.5, abs=0.4)
+    assert count.real.var() == pytest.approx(1.5, abs=0.7)
