@@ -55,10 +55,33 @@ def source(tmp_path_factory, plate_text) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(source, tmp_path_factory) -> Path:
+def made(source, tmp_path_factory) -> tuple[Path, list[tuple[str, float]]]:
+    """Return an archive, and the steps that its making reported."""
     folder = tmp_path_factory.mktemp("archives") / "Ladder"
-    assert main(["archive", str(source / "project.toml"), "-o", str(folder)]) == 0
-    return folder
+    steps: list[tuple[str, float]] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "amulor.handover.archive.write.tell",
+            lambda step, share: steps.append((step, share)),
+        )
+        assert main(["archive", str(source / "project.toml"), "-o", str(folder)]) == 0
+    return folder, steps
+
+
+@pytest.fixture(scope="module")
+def whole(made) -> Path:
+    return made[0]
+
+
+def test_each_step_of_an_archive_is_reported(made) -> None:
+    assert made[1] == [
+        ("reading", 0.0),
+        ("copying scan1", 0.0),
+        ("clouds of scan1", pytest.approx(0.135)),
+        ("copying scan2", pytest.approx(0.45)),
+        ("clouds of scan2", pytest.approx(0.585)),
+        ("checksums", 0.9),
+    ]
 
 
 def table(path: Path) -> list[dict[str, str]]:

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
+from scipy.stats import chi2
 
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint._kernels.bundles import Echo
 from amulor.rejection.joint.samples import Pixels, phasors, weight
-from amulor.rejection.joint.search import Estimates, estimate
+from amulor.rejection.joint.search import (
+    Estimates,
+    are_two,
+    estimate,
+    may_be_two,
+    two_surfaces,
+)
 from amulor.rejection.joint.tables import Table
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
 
 
-def _solve(
+def _scene(
     signal: np.ndarray,
     sigma: np.ndarray,
     water: np.ndarray,
@@ -27,10 +37,9 @@ def _solve(
     shortest: float = 2.0,
     longest: float = 8.0,
     open_water: np.ndarray | None = None,
-    fluctuation: float = 0.0,
     missing: tuple[int, ...] = (),
-) -> Estimates:
-    """Return the estimate behind a water signal that does not depend on its end.
+) -> tuple[Pixels, Table]:
+    """Return pixels, and a water signal that does not depend on its end.
 
     Unless open water is another one. Some frequencies may be missing.
     """
@@ -62,6 +71,20 @@ def _solve(
         level=np.ones(1),
         strength=1.0,
     )
+    return pixels, table
+
+
+def _solve(
+    signal: np.ndarray,
+    sigma: np.ndarray,
+    water: np.ndarray,
+    frequency: np.ndarray,
+    *,
+    fluctuation: float = 0.0,
+    **others: Any,
+) -> Estimates:
+    """Return the estimate behind a water signal, with further arguments of a scene."""
+    pixels, table = _scene(signal, sigma, water, frequency, **others)
     return estimate(
         pixels,
         weight(pixels),
@@ -247,3 +270,78 @@ def test_an_echo_turns_as_cosine_and_sine_say(
     expected = np.exp(1j * rate * path) * transfer
     # One rounding of the phase itself is left to both.
     assert_allclose(found[0] + 1j * found[1], expected, rtol=1e-15, atol=1e-14)
+
+
+@pytest.mark.parametrize("apart", [0.25, 0.6, 1.4])
+@pytest.mark.parametrize("ratio", [0.4, 1.0, 2.5])
+def test_two_surfaces_of_a_pixel_are_found_exactly_without_noise(
+    apart: float, ratio: float
+) -> None:
+    wavenumber = 2 * np.pi * FREQUENCIES / speed_of_light
+    near, far = np.array([4.0, 4.7]), np.array([4.0, 4.7]) + apart
+    # Two channels see the surfaces in different shares.
+    shares = np.array([[1.0, ratio], [0.5, 0.2 * ratio]])
+    turns = np.exp(1j * np.stack([near, far], -1)[..., None] * wavenumber)
+    signal = np.einsum("ck,nkf->ncf", shares, turns)
+    rng = np.random.default_rng(3)
+    water = rng.standard_normal(6) + 1j * rng.standard_normal(6)
+    pixels, table = _scene(signal + water, np.array(1e-3), water, FREQUENCIES)
+    shared: Any = SimpleNamespace(
+        table=table, echo=0.0, fluctuation=0.0, noise_scale=1.0,
+        strength=np.ones((2, 6), dtype=complex),
+        water_signal=lambda light, _: light[:, None] * np.ones((2, 1)),
+    )  # fmt: skip
+    pair = two_surfaces(
+        pixels, (near + far) / 2, shared,
+        transfer=np.ones(6, dtype=complex), phase_per_path=wavenumber,
+    )  # fmt: skip
+    assert_allclose(pair.near, near, atol=1e-5)
+    assert_allclose(pair.far, far, atol=1e-5)
+    # Squares of errors of 1 mV, of signals of 1 V.
+    assert np.all(pair.cost < 1e-3)
+
+
+def _single(cost: float, *, channels: int = 2, frequencies: int = 4) -> Any:
+    """Return the fit of one pixel to one surface, of all its outputs."""
+    return SimpleNamespace(
+        cost=np.array([cost]),
+        used=np.array([2 * channels * frequencies]),
+        amplitude=np.ones((1, channels)),
+        influence=np.zeros((1, channels, frequencies), dtype=complex),
+    )
+
+
+@pytest.mark.parametrize(("factor", "asked"), [(0.999, False), (1.001, True)])
+def test_a_pixel_that_one_surface_explains_is_not_tested_for_two(
+    factor: float, asked: bool
+) -> None:
+    # 16 outputs less a path and two amplitudes; a chance of 1 in 1000.
+    single = _single(factor * float(chi2.isf(1e-3, 13)))
+    one, none = np.array([True]), np.array([False])
+    assert may_be_two(single, one, none)[0] == asked
+    assert may_be_two(single, one, one)[0]
+    assert not may_be_two(single, none, one)[0]
+    few = _single(1e6, frequencies=2)
+    assert not may_be_two(few, one, one)[0]
+
+
+@pytest.mark.parametrize(
+    ("gain", "cost", "beyond", "two"),
+    # The likelihood ratio has three more parameters, 1 in 10,000; two surfaces fit to
+    # 1 in 10,000 of 10 degrees of freedom. One outlier costs 14, two surfaces cost 21.
+    [
+        (1.001, 5.0, 1e3, True),
+        (0.999, 5.0, 1e3, False),
+        (5.0, 0.999 * float(chi2.isf(1e-4, 10)), 1e3, True),
+        (5.0, 1.001 * float(chi2.isf(1e-4, 10)), 1e3, False),
+        (5.0, 5.0, 7.01, True),
+        (5.0, 5.0, 6.99, False),
+    ],
+)
+def test_two_surfaces_are_chosen_beyond_their_limits(
+    gain: float, cost: float, beyond: float, two: bool
+) -> None:
+    single = _single(cost + gain * float(chi2.isf(1e-4, 3)))
+    cleaned = _single(cost + beyond)
+    pair: Any = SimpleNamespace(cost=np.array([cost]))
+    assert are_two(pair, single, cleaned, np.array([1]))[0] == two
