@@ -31,6 +31,8 @@ _LARGEST_LOSS = 10.0
 _PARTS = 8
 #: Differences of neighbors over their noise, from which they are significant [1].
 _SIGNIFICANT = 20.0
+#: Standard errors beyond which differences between targets are significant [1].
+_SURE = 4.0
 #: Part of a difference across the echo over that along it, as of a change of distance.
 _STEEP = 0.3
 #: Smallest variance [1].
@@ -420,6 +422,11 @@ def target_ratio_of_neighbors(
             (crossed - later * squares, squares),
         )
     ]
+    # Different targets in one scan.
+    rest = weight * np.abs(cross - (ratio + 1j * later * ramp) * co) ** 2
+    excess = float(rest.sum()) - rest.size
+    if excess > _SURE * math.sqrt(2 * rest.size):
+        errors[0] = math.hypot(errors[0], math.sqrt(excess / total))
     return TargetRatio(
         real=ratio, imaginary=later, uncertainty=(errors[0], errors[1]), tested=True
     )

@@ -185,7 +185,9 @@ def light(water: str, distance: float, kind: str) -> np.ndarray:
     return np.array(rows).reshape(2, 4).T
 
 
-def scene(water: str, distance: float, seed: int, noise: float) -> xr.Dataset:
+def scene(
+    water: str, distance: float, seed: int, noise: float, paint: float
+) -> xr.Dataset:
     """Return samples of a spotted plate; noise relative to the bright echo."""
     rng = np.random.default_rng(seed)
     shape = (12, 20)
@@ -193,7 +195,9 @@ def scene(water: str, distance: float, seed: int, noise: float) -> xr.Dataset:
     echoes, haze = (
         light(water, distance, kind)[:, :, None, None] for kind in ("target", "water")
     )
-    clean = (echoes * np.where(spots, 1 / 3, 1.0) + haze) / abs(echoes[0, 0, 0, 0])
+    bright = echoes * np.where(spots, 1 / 3, 1.0)
+    bright[:, 1, :, 10:] *= paint
+    clean = (bright + haze) / abs(echoes[0, 0, 0, 0])
     error = rng.normal(0, noise, (2, *clean.shape))
     stated = np.full(clean.shape, noise)
     return cubes.build(
@@ -223,13 +227,16 @@ def scene(water: str, distance: float, seed: int, noise: float) -> xr.Dataset:
     )
 
 
-def scores(water: str, distance: float, seed: int, noise: float = 3e-3) -> np.ndarray:
+def scores(
+    water: str, distance: float, seed: int, noise: float = 3e-3, paint: float = 1.0
+) -> np.ndarray:
     """Return range errors of the pixels without a flag, in standard uncertainties.
 
-    The truth is the range of the co-polarized echo without water signal.
+    The truth is the range of the co-polarized echo without water signal. Half of the
+    plate has another paint, whose ratio is larger by a factor.
     """
     interval = (distance - 0.5, distance + 0.6)
-    cube = scene(water, distance, seed, noise)
+    cube = scene(water, distance, seed, noise, paint)
     image = imaging.range_image(
         rejection.polarization_difference(cube, interval=interval), interval=interval
     )
@@ -287,6 +294,15 @@ def test_light_of_photon_transport_is_inside_the_intervals(
     found = scores(water, distance, 11)
     # One scan: all pixels share the error of the ratios.
     assert np.mean(np.abs(found) < 1.96) > 0.85
+    assert np.abs(found).max() < 5
+
+
+@pytest.mark.parametrize("paint", [0.7, 2.0])
+def test_a_second_paint_widens_the_intervals(paint: float) -> None:
+    found = np.concatenate(
+        [scores("harbor", 1.37, seed, paint=paint) for seed in (1, 2)]
+    )
+    assert np.mean(np.abs(found) < 1.96) > 0.9
     assert np.abs(found).max() < 5
 
 
