@@ -55,6 +55,8 @@ COLUMNS = (
     "points1", "points2", "worst", "distances1", "distances2", "worst_distance",
     "latency", "latency_sigma", "boresight", "boresight_sigma",
 )  # fmt: skip
+#: Rows and columns of a line: points 7 mm apart along the track, 18 mm across.
+ROWS, COLUMNS_OF_LINE = 240, 72
 #: Number of points of a run, and of pairs of points, that are compared.
 _POINTS, _PAIRS = 400, 400
 
@@ -226,7 +228,10 @@ def measured(seed: int) -> dict[str, object]:
     scene = SCENES[seed % 3]
     water = tuple(WATERS)[seed // 3 % 2]
     with tempfile.TemporaryDirectory() as folder:
-        site, true = make(Path(folder), seed, scene=scene, noise=WATERS[water])
+        site, true = make(
+            Path(folder), seed, scene=scene, noise=WATERS[water], rows=ROWS,
+            columns=COLUMNS_OF_LINE,
+        )  # fmt: skip
         surfaces, images = surfaces_of(site)
     result = register(site, surfaces=surfaces, images=images)
     cloud = merge(site, result, surfaces, images)

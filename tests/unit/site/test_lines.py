@@ -106,7 +106,7 @@ def test_a_drift_has_the_stated_change_along_the_line(drawn) -> None:
     shift = motion.shifts(ends, np.zeros((2, 3)))
     at = [number for number, key in enumerate(motion.keys) if "of position" in key]
     change = np.linalg.norm(shift[at, 1] - shift[at, 0], axis=0)
-    # Twelve forms of a random walk have 97 % of its variance.
+    # 32 forms of a random walk have 99 % of its variance.
     np.testing.assert_allclose(change, 4e-3, rtol=0.03)
     turns = [number for number, key in enumerate(motion.keys) if "attitude" in key]
     first = motion.poses.vehicle.position[ends[0]]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from amulor.cube import QualityFlag
 from amulor.cube.schema import LEVELS, WINDOW_ATTRIBUTES
 from amulor.errors import AmulorError, CubeError
+from amulor.imaging.common import own_variance
 from amulor.imaging.moving import MovingFrame, moving_frame
 from amulor.imaging.observation import geometry_of
 from amulor.io.trajectories import read_trajectory
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
-#: Number of forms of a drift along the line; the rest of a random walk is 0.09 of it.
-_FORMS = 12
+#: Least and largest number of forms of a drift along the line [1].
+_FEWEST, _MOST = 6, 32
+#: Largest rest of a random walk beyond its forms, in standard uncertainties of a range.
+_REST = 1 / 3
 #: Empty rows between rows of both directions; more than pixels of a block.
 _BETWEEN = 8
 #: Attribute: number of each row in the scan, for rows sorted by direction [1].
@@ -65,6 +68,8 @@ class Motion:
     """Mounting change by one sigma of each of its errors, shape (error, 8)."""
     drift: tuple[float, float]
     """Random walk along the line: of position [m] and attitude [rad]."""
+    forms: tuple[int, int]
+    """Number of forms of the random walk of position and attitude."""
     bend: float
     """Shift of the ends of the line by a constant error of the attitude [m]."""
     own: Floats
@@ -86,19 +91,15 @@ class Motion:
         if self.bend > 0:
             end = self.bend * (2 * share - 1)
             parts.append(end[None, :, None] * np.eye(3)[:, None, :])
-        forms = [
-            np.sqrt(2) / (k * np.pi) * np.cos(k * np.pi * share)
-            for k in range(1, _FORMS + 1)
-        ]
-        if self.drift[0] > 0:
-            parts += [
-                self.drift[0] * form[None, :, None] * np.eye(3)[:, None, :]
-                for form in forms
-            ]
-        if self.drift[1] > 0:
-            turns = -cross_matrix(place - poses.vehicle.position)
-            turns = np.moveaxis(turns, -1, 0)  # by the rotation about each axis
-            parts += [self.drift[1] * form[None, :, None] * turns for form in forms]
+        turns = -cross_matrix(place - poses.vehicle.position)
+        axes = np.eye(3)[:, None, :]
+        for size, count, by_axis in (
+            (self.drift[0], self.forms[0], axes),
+            (self.drift[1], self.forms[1], np.moveaxis(turns, -1, 0)),
+        ):
+            for k in range(1, count + 1):
+                form = size * np.sqrt(2) / (k * np.pi) * np.cos(k * np.pi * share)
+                parts.append(form[None, :, None] * by_axis)
         if not parts:
             return np.zeros((0, len(pixel), 3))
         return np.asarray(np.concatenate(parts) @ self.start.rotation)
@@ -166,24 +167,43 @@ def _motion(
         drift.append(float(np.sqrt(grown)) if stated is None else 2 * stated)
     turn = np.sqrt(np.trace(covariance[3:, 3:]) / 3)
     length = np.linalg.norm(poses.position[order[-1]] - poses.position[order[0]])
+    reach = float(np.nanmedian(image["slant_range"].values))
+    noise = float(np.nanmedian(np.sqrt(own_variance(image))))
+    forms = (_forms(drift[0], noise), _forms(drift[1] * reach, noise))
     factors = error_factors(poses.mounting)
     factors = factors[np.abs(factors).max(axis=1) > 0]
     return Motion(
         start=start,
         # No direction counts as exact.
         covariance=covariance + 1e-18 * np.eye(6),
-        keys=_keys(scan, poses.mounting, len(factors), drift, turn * length > 0),
+        keys=_keys(scan, poses.mounting, len(factors), forms, turn * length > 0),
         poses=poses,
         course=share.reshape(frame.shape),
         mounting=factors,
         drift=(drift[0], drift[1]),
+        forms=forms,
         bend=float(turn * length / 2),
         own=_smear(frame, image),
     )
 
 
+def _forms(drift: float, noise: float) -> int:
+    """Return the number of forms whose rest is small beside the noise of a range [1].
+
+    Beyond K forms, the rest of a random walk is its size divided by pi sqrt(K).
+    """
+    if not drift > 0:
+        return 0
+    needed = (drift / (np.pi * _REST * max(noise, 1e-9))) ** 2
+    return int(np.clip(np.ceil(needed), _FEWEST, _MOST))
+
+
 def _keys(
-    scan: SiteScan, mounting: Mounting, count: int, drift: list[float], bent: bool
+    scan: SiteScan,
+    mounting: Mounting,
+    count: int,
+    forms: tuple[int, int],
+    bent: bool,
 ) -> tuple[str, ...]:
     """Return the names of the errors of a line, in the order of `Motion.shifts`."""
     group = f"{scan.instrument}, {scan.epoch}"
@@ -192,15 +212,13 @@ def _keys(
         names = [name for name, size in zip(_MOUNTING, sigma, strict=True) if size > 0]
     else:
         names = [f"mounting {number + 1}" for number in range(count)]
-    forms = range(1, _FORMS + 1)
     keys = [f"{name}: {group}" for name in names]
     keys += [f"turn of the track {axis}: {scan.name}" for axis in _AXES if bent]
-    for quantity, size in zip(("position", "attitude"), drift, strict=True):
+    for quantity, number in zip(("position", "attitude"), forms, strict=True):
         keys += [
             f"drift {form} of {quantity} {axis}: {scan.name}"
-            for form in forms
+            for form in range(1, number + 1)
             for axis in _AXES
-            if size > 0
         ]
     return tuple(keys)
 
