@@ -330,29 +330,49 @@ def _normal(
     Their right sides are those of each patch.
     """
     count = wave.size
-    size = 4 * count + 2
-    normal, slopes = np.zeros((size, size)), np.zeros((patch.max() + 1, size))
-    for first in range(0, len(rest), MOST_PIXELS):
-        part = slice(first, first + MOST_PIXELS)
-        error = np.sqrt(variance[part])
-        own = np.stack([echo.turn[part], 1j * wave * echo.turn[part]], axis=2)
-        own = own / error[:, :, None]
-        columns = np.zeros((len(error), count, size), dtype=complex)
-        each = np.arange(count)
-        for k, effect in enumerate(effects[:-1]):
-            columns[:, each, k * count + each] = effect[part] / error
-        columns[:, :, -2:] = effects[-1][part] / error[:, :, None]
-        outputs = (rest[part] / error)[:, :, None]
-        real = [
-            np.concatenate([values.real, values.imag], axis=1)
-            for values in (own, columns, outputs)
-        ]
-        basis, _ = np.linalg.qr(real[0])
-        across = real[1] - basis @ (basis.transpose(0, 2, 1) @ real[1])
-        flat = across.reshape(-1, size)
-        normal += flat.T @ flat
-        each_slope = (across * real[2]).sum(axis=1)
-        np.add.at(slopes, patch[part], each_slope)
+    error = np.sqrt(variance)
+    own = np.stack([echo.turn, 1j * wave * echo.turn], axis=2) / error[..., None]
+    outputs = rest / error
+    # Real basis of amplitude and path, (pixel, frequency, direction).
+    basis, _ = np.linalg.qr(np.concatenate([own.real, own.imag], axis=1))
+    turned = basis[:, :count] - 1j * basis[:, count:]
+    each = np.stack(effects[:-1], axis=2) / error[..., None]
+    shared = effects[-1] / error[..., None]
+
+    def apart(values: Complex) -> Floats:
+        """Return the products with the basis, by frequency."""
+        return np.asarray((turned[..., :, None] * values[..., None, :]).real)
+
+    alone, common = apart(each), apart(shared).sum(axis=1)
+    # Columns in the order of the parameters: effects by frequency, then the shared.
+    alone = alone.transpose(0, 2, 3, 1).reshape(len(rest), 2, -1)
+    inner = np.concatenate([alone, common], axis=2)
+    size = inner.shape[2]
+    normal = np.zeros((size, size))
+    place = np.arange(size - 2).reshape(-1, count)
+    for first, one in enumerate(place):
+        for second, other in enumerate(place):
+            product = (each[..., first].conj() * each[..., second]).real.sum(axis=0)
+            normal[one, other] = product
+        crossed = (each[..., first].conj()[..., None] * shared).real.sum(axis=0)
+        normal[one, -2:] = crossed
+        normal[-2:, one] = crossed.T
+    normal[-2:, -2:] = np.einsum("pfa,pfb->ab", shared.conj(), shared).real
+    flat = inner.reshape(-1, size)
+    normal -= flat.T @ flat
+    slope = np.concatenate(
+        [
+            (each.conj() * outputs[..., None])
+            .real.transpose(0, 2, 1)
+            .reshape(len(rest), -1),
+            (shared.conj() * outputs[..., None]).real.sum(axis=1),
+        ],
+        axis=1,
+    )
+    along = (turned * outputs[..., None]).real.sum(axis=1)
+    slope -= np.einsum("pd,pdk->pk", along, inner)
+    slopes = np.zeros((patch.max() + 1, size))
+    np.add.at(slopes, patch, slope)
     return normal, slopes
 
 
@@ -382,10 +402,10 @@ def target_ratio_of_neighbors(
     usable = first.usable[:, 0] & second.usable[:, 0]
     three = (usable[..., 2:] & usable[..., 1:-1] & usable[..., :-2]).all(axis=0)
     # A difference in phase with the echo is one of reflectance.
-    top = int(first.frequency.argmax())
-    middle = curved(second.signal[:, 0], 1.0)[top]
-    turned = co[top] * np.exp(-1j * np.angle(middle))
-    noise = np.sqrt(variances[0][top])
+    highest = int(first.frequency.argmax())
+    middle = curved(second.signal[:, 0], 1.0)[highest]
+    turned = co[highest] * np.exp(-1j * np.angle(middle))
+    noise = np.sqrt(variances[0][highest])
     steady = np.abs(turned.imag) < np.maximum(_STEEP * np.abs(turned.real), 2 * noise)
     three = three & steady
     co, cross = co[:, three], cross[:, three]
