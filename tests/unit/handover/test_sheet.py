@@ -331,7 +331,8 @@ def test_entries_of_a_legend_stand_inside_the_frame_beside_their_colours(steps) 
         bar for bar in frame.patches if bar.get_facecolor() == (1.0, 0.0, 0.0, 1.0)
     ]
     outer = frame.patches[0].get_bbox()
-    title = texts["Step"][1]
+    title, line = texts["Step"][1], float(frame.lines[0].get_ydata()[0])
+    assert line == pytest.approx(paper.below - 9.0 - 2 * 8.5)
     for box, (_, _, words) in zip(boxes, legend, strict=True):
         corners = box.get_bbox()
         x, y = texts[words]
@@ -339,9 +340,14 @@ def test_entries_of_a_legend_stand_inside_the_frame_beside_their_colours(steps) 
         assert corners.y0 < y < corners.y1
         assert 0 < x - corners.x1 < 3
         assert outer.x0 < corners.x0 < corners.x1 < outer.x1
-        assert outer.y0 < corners.y0 < corners.y1 < title
-    areas = {(round(b.get_x(), 6), round(b.get_y(), 6)) for b in boxes}
-    assert len(areas) == len(legend)
+        # Under the fields, in the 16 mm of the scale bar.
+        assert line - 16 < corners.y0 < corners.y1 < line < title
+    # Three in a column, from the top.
+    places = [(bar.get_x(), bar.get_y()) for bar in boxes]
+    columns = [places[:3], places[3:]]
+    assert [len({x for x, _ in column}) for column in columns] == [1, 1]
+    assert columns[0][0][0] < columns[1][0][0] - 40
+    assert np.all(np.diff([y for _, y in columns[0]]) < -3)
 
 
 @pytest.mark.parametrize("count", [1, 4, 9])
