@@ -78,7 +78,7 @@ def saved(folder: Path, **fields: object) -> Path:
 def test_light_of_a_dead_counter_is_found_within_its_error(
     tmp_path: Path, dead_time: float
 ) -> None:
-    counts = counts_of(60, dead_time=dead_time, seed=3)
+    counts = counts_of(30, dead_time=dead_time, seed=3)
     fields = {} if np.isinf(dead_time) else {"dead_time_s": dead_time}
     path = saved(tmp_path, counts=counts, cycles=PULSES, **fields)
     cube = read_transients(path, FREQUENCY, repetition_frequency=1 / PERIOD)
@@ -92,8 +92,8 @@ def test_light_of_a_dead_counter_is_found_within_its_error(
             off.imag / errors["quadrature_uncertainty"].values,
         ]
     ).ravel()
-    # 240 nearly independent normal scores: their mean square is 1 +- 0.09.
-    assert 0.7 < np.mean(scores**2) < 1.35
+    # 120 nearly independent normal scores: their mean square is 1 +- 0.13.
+    assert 0.6 < np.mean(scores**2) < 1.5
     assert abs(np.mean(scores)) < 0.35
     # Without the correction more than a quarter of the light is lost.
     raw = read_transients(saved(tmp_path, counts=counts), FREQUENCY)
@@ -103,7 +103,7 @@ def test_light_of_a_dead_counter_is_found_within_its_error(
 
 def test_ranges_of_bright_echoes_are_inside_their_intervals(tmp_path: Path) -> None:
     echoes = [(1.5, 30e-9, 2e-9)]
-    counts = counts_of(120, dead_time=np.inf, seed=5, echoes=echoes)
+    counts = counts_of(60, dead_time=np.inf, seed=5, echoes=echoes)
     true = 30e-9 * LIGHT / 2
     shifts = []
     for fields in ({}, {"cycles": PULSES}):
@@ -133,9 +133,9 @@ def test_ranges_of_bright_echoes_are_inside_their_intervals(tmp_path: Path) -> N
     error = np.sqrt(variance) / np.abs(signal)
     turn = np.angle(np.exp(1j * (phase - 2 * np.pi * 30e6 * 30e-9)))
     inside = np.mean(np.abs(turn) < 1.96 * error)
-    # Of 120 pixels 95 %, within three standard deviations of 2 %.
-    assert 0.89 < inside <= 1
-    assert abs(np.mean(shifts[1])) < 0.004
+    # Of 60 pixels 95 %, within three standard deviations of 2.8 %.
+    assert 0.86 < inside <= 1
+    assert abs(np.mean(shifts[1])) < 0.006
 
 
 def test_the_error_of_the_dead_time_is_that_of_another_dead_time(
