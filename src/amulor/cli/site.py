@@ -12,6 +12,7 @@ from cyclopts import Parameter, validators
 if TYPE_CHECKING:
     import xarray as xr
 
+    from amulor.platform import Mounting, Trajectory
     from amulor.site import Site
     from amulor.site.change.distances import Change, Region
     from amulor.site.change.moved import Motion
@@ -79,6 +80,7 @@ def register(
     /,
     *,
     output: Annotated[Path, Parameter(alias="-o")],
+    trajectories: Path | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -90,6 +92,8 @@ def register(
         Site file (TOML).
     output
         File to write (JSON), with all poses and their joint covariance.
+    trajectories
+        Folder for the corrected trajectory (CSV) and mounting (TOML) of each line.
     json
         Print the result as JSON.
     overwrite
@@ -114,6 +118,10 @@ def register(
     with progress_bar(quiet=json):
         result = room.register(described)
         write_registration(result, output, overwrite=overwrite)
+        if trajectories is not None and not result.contradictions:
+            _write_lines(
+                room.refined_lines(described, result), trajectories, overwrite=overwrite
+            )
     if json:
         print_json(
             {
@@ -150,6 +158,24 @@ def register(
         raise CubeError(f"{output}: {_not_good(result)}")
     if not json:
         print_next(f"amulor site merge {site} --poses {output} -o merged")
+
+
+def _write_lines(
+    lines: Iterator[tuple[str, Trajectory, Mounting]],
+    folder: Path,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write corrected trajectory and mounting of each line."""
+    from amulor.io.files import atomic_output
+    from amulor.io.trajectories import write_trajectory
+    from amulor.platform.mounting import mounting_text
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, track, mounting in lines:
+        write_trajectory(track, folder / f"{name}.csv", overwrite=overwrite)
+        with atomic_output(folder / f"{name}.toml", overwrite=overwrite) as temporary:
+            temporary.write_text(mounting_text(mounting), encoding="utf-8")
 
 
 def _not_good(result: Registration) -> str:

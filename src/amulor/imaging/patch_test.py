@@ -24,7 +24,7 @@ from amulor.errors import CubeError
 from amulor.imaging.moving import moving_frame, surveyed_mounting
 from amulor.imaging.observation import geometry_of
 from amulor.platform import InstrumentPoses, Mounting, Poses, Trajectory
-from amulor.platform.mounting import deviations
+from amulor.platform.mounting import changed, deviations, with_covariance
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -553,7 +553,7 @@ class _Estimate:
         normal, _, _ = rows.reduced()
         covariance = self._covariance(normal, self._penalty(self.walks))
         return PatchTest(
-            mounting=_stated(self.mounting, covariance),
+            mounting=with_covariance(self.mounting, covariance),
             start=self.start,
             change=-self._to_start()[: len(QUANTITIES)],
             covariance=covariance,
@@ -682,16 +682,7 @@ class _Estimate:
         step = np.zeros(free.size)
         matrix = (normal + penalty)[np.ix_(free, free)]
         step[free] = np.linalg.solve(matrix, right[free])
-        now = self.mounting
-        turn = Rotation.from_rotvec(now.boresight) * Rotation.from_rotvec(step[3:6])
-        self.mounting = now.model_copy(
-            update={
-                "lever_arm": tuple(now.lever_arm + step[:3]),
-                "boresight": tuple(turn.as_rotvec()),
-                "clock_offset": now.clock_offset + float(step[6]),
-                "clock_drift": now.clock_drift + float(step[7]),
-            }
-        )
+        self.mounting = changed(self.mounting, step[: len(QUANTITIES)])
         self.errors = self.errors + step[len(QUANTITIES) :]
 
     def _fit_walks(self, normal: Floats, right: Floats) -> None:
@@ -831,23 +822,3 @@ def _cell_size(points: _Points) -> float:
         filled = len(points.line) / len(np.unique(key, axis=0))
         size *= float(np.clip(np.sqrt(_FILLED / filled), 0.2, 5.0))
     return size
-
-
-def _stated(mounting: Mounting, covariance: Floats) -> Mounting:
-    """Return a mounting with its uncertainties and their correlation."""
-    sigma = np.sqrt(np.diag(covariance))
-    scale = np.where(sigma > 0, sigma, 1.0)
-    correlation = np.round(covariance / scale[:, None] / scale, 9)
-    correlation = (correlation + correlation.T) / 2
-    np.fill_diagonal(correlation, 1.0)
-    return mounting.model_copy(
-        update={
-            "lever_arm_uncertainty": None,
-            "lever_arm_uncertainties": tuple(sigma[:3]),
-            "boresight_uncertainty": None,
-            "boresight_uncertainties": tuple(sigma[3:6]),
-            "clock_uncertainty": float(sigma[6]),
-            "clock_drift_uncertainty": float(sigma[7]),
-            "correlation": tuple(map(tuple, correlation)),
-        }
-    )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from amulor.errors import SurveyError
 from amulor.survey import toml_file
@@ -46,6 +47,39 @@ def error_factors(mounting: Mounting) -> NDArray[np.float64]:
         return np.diag(sigma)
     values, vectors = np.linalg.eigh(np.array(mounting.correlation))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T * sigma)
+
+
+def changed(mounting: Mounting, step: NDArray[np.float64]) -> Mounting:
+    """Return a mounting after changes of its eight quantities, see `deviations`."""
+    turn = Rotation.from_rotvec(mounting.boresight) * Rotation.from_rotvec(step[3:6])
+    return mounting.model_copy(
+        update={
+            "lever_arm": tuple(mounting.lever_arm + step[:3]),
+            "boresight": tuple(turn.as_rotvec()),
+            "clock_offset": mounting.clock_offset + float(step[6]),
+            "clock_drift": mounting.clock_drift + float(step[7]),
+        }
+    )
+
+
+def with_covariance(mounting: Mounting, covariance: NDArray[np.float64]) -> Mounting:
+    """Return a mounting with its uncertainties and their correlation."""
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    correlation = np.round(covariance / scale[:, None] / scale, 9)
+    correlation = (correlation + correlation.T) / 2
+    np.fill_diagonal(correlation, 1.0)
+    return mounting.model_copy(
+        update={
+            "lever_arm_uncertainty": None,
+            "lever_arm_uncertainties": tuple(sigma[:3]),
+            "boresight_uncertainty": None,
+            "boresight_uncertainties": tuple(sigma[3:6]),
+            "clock_uncertainty": float(sigma[6]),
+            "clock_drift_uncertainty": float(sigma[7]),
+            "correlation": tuple(map(tuple, correlation)),
+        }
+    )
 
 
 def read_mounting(path: str | Path) -> Mounting:

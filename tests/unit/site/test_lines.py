@@ -9,14 +9,21 @@ import pytest
 
 from amulor import io
 from amulor.errors import CubeError, SurveyError
+from amulor.imaging import moving_frame, point_cloud
 from amulor.io.trajectories import read_trajectory, write_trajectory
+from amulor.platform import read_mounting
 from amulor.site import Site
 from amulor.site.blocks import averaged, block_of, pixels_of_scan
 from amulor.site.check import check
 from amulor.site.load import range_image_of
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.line import by_direction, motion_of, rows_of_scan
-from amulor.site.registration.register import register, surface_of, surfaces_of
+from amulor.site.registration.register import (
+    refined_lines,
+    register,
+    surface_of,
+    surfaces_of,
+)
 
 ROOT = Path(__file__).parents[3]
 STUDY = runpy.run_path(str(ROOT / "benchmarks" / "measure_moving_sites.py"))
@@ -219,3 +226,52 @@ def test_the_offset_of_a_reference_system_is_applied(folder: Path, drawn) -> Non
     here = motion_of(site, scan, image).start.position
     plain = motion_of(drawn[0], drawn[0].scan[0], image).start.position
     np.testing.assert_allclose(here, plain, atol=1e-6)
+
+
+def test_the_trajectory_is_corrected_within_its_uncertainty(
+    drawn, adjusted, tmp_path: Path
+) -> None:
+    """A run without errors has the true poses at the same messages."""
+    STUDY["make"](
+        tmp_path, 2, lines=STUDY["LINES"][:2], rows=70, columns=40, exact=True
+    )
+    site, _ = drawn
+    for name, track, mounting in refined_lines(site, adjusted[0]):
+        stated = read_trajectory(site.scan[int(name[-1]) - 1].trajectory.file)
+        true = read_trajectory(tmp_path / f"{name}.csv")
+        at = np.searchsorted(stated.time, track.time)
+        off = track.position - true.position[at]
+        before = stated.position[at] - true.position[at]
+        # The constant error and part of the drift are gone.
+        assert (off**2).mean() < 0.5 * (before**2).mean()
+        sigma = np.sqrt(np.einsum("nii->ni", track.covariance))
+        assert np.abs(off / sigma[:, :3]).max() < 5
+        assert np.median(np.abs(off / sigma[:, :3])) < 2
+        assert sigma[:, :3].max() < 0.01
+        assert mounting.lever_arm_uncertainties is not None
+        # Stated: 0.1 degrees.
+        assert mounting.boresight_uncertainties[2] < 0.7 * STUDY["SPREAD"][5]
+
+
+def test_corrected_files_place_points_as_the_site_does(
+    folder: Path, drawn, adjusted
+) -> None:
+    from amulor.cli.site import _write_lines
+
+    site, _ = drawn
+    result, _, cloud = adjusted
+    _write_lines(refined_lines(site, result), folder / "lines", overwrite=True)
+    image = range_image_of(site.scan[0])
+    frame = moving_frame(
+        image,
+        trajectory=read_trajectory(folder / "lines" / "line 1.csv"),
+        mounting=read_mounting(folder / "lines" / "line 1.toml"),
+    )
+    points = point_cloud(image, frame=frame)
+    mine = cloud.scan == 0
+    number = points["row"].values * 40 + points["column"].values
+    place = dict(zip(number.tolist(), range(len(number)), strict=True))
+    chosen = [place[pixel] for pixel in cloud.pixel[mine]]
+    xyz = np.stack([points[axis].values for axis in "xyz"], axis=1)[chosen]
+    # Shifts by centimeters and 0.1 degrees are linear within 0.1 mm.
+    np.testing.assert_allclose(xyz, cloud.position[mine], atol=1.5e-4)

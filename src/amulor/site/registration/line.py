@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from amulor.cube import QualityFlag
 from amulor.cube.schema import LEVELS, WINDOW_ATTRIBUTES
@@ -19,7 +20,7 @@ from amulor.imaging.observation import geometry_of
 from amulor.io.trajectories import read_trajectory
 from amulor.platform import InstrumentPoses, Trajectory, read_mounting
 from amulor.platform.attitude import cross_matrix
-from amulor.platform.mounting import error_factors
+from amulor.platform.mounting import changed, error_factors, with_covariance
 from amulor.site.registration.pose import ScanPose
 from amulor.survey.platform import Mounting
 
@@ -112,7 +113,7 @@ def motion_of(site: Site, scan: SiteScan, image: xr.Dataset) -> Motion | None:
         return None
     try:
         mounting = None if line.mounting is None else read_mounting(line.mounting)
-        track = _in_frame(read_trajectory(line.file), site)
+        track = track_in_frame(read_trajectory(line.file), site)
         frame = moving_frame(image, trajectory=track, mounting=mounting)
     except AmulorError as error:
         raise CubeError(f"scan {scan.name!r}: {error}") from None
@@ -125,7 +126,7 @@ def motion_of(site: Site, scan: SiteScan, image: xr.Dataset) -> Motion | None:
     return _motion(scan, line, frame, image)
 
 
-def _in_frame(track: Trajectory, site: Site) -> Trajectory:
+def track_in_frame(track: Trajectory, site: Site) -> Trajectory:
     """Return a trajectory in the frame of a site."""
     frame = site.frame
     if frame.crs and track.crs and frame.crs != track.crs:
@@ -330,3 +331,61 @@ def row_of_image(attributes: Mapping[Any, object], row: int) -> int:
     rows = np.asarray(order, dtype=np.intp)
     at = np.flatnonzero(rows == row)
     return int(at[0]) if at.size else rows.size + row
+
+
+def refined(
+    track: Trajectory, motion: Motion, pose: ScanPose, errors: Floats, spread: Floats
+) -> tuple[Trajectory, Mounting]:
+    """Return trajectory and mounting of a line, corrected by the registration.
+
+    `errors` are the estimates of the errors `motion.keys`, and `spread` is the
+    covariance of pose and errors. The trajectory has the messages during the line, and
+    three before and after it.
+    """
+    time = motion.poses.vehicle.time
+    first, last = np.nanmin(time), np.nanmax(time)
+    (inside,) = np.nonzero((track.time >= first) & (track.time <= last))
+    begin, end = max(inside[0] - 3, 0), inside[-1] + 4
+    stamps, position = track.time[begin:end], track.position[begin:end]
+    share = (stamps - first) / (last - first)
+    fixed = len(motion.mounting)
+    count, number = len(motion.keys), fixed
+    shift, turn = np.zeros((2, count, len(stamps), 3))
+    if motion.bend > 0:
+        for axis in range(3):
+            shift[number + axis, :, axis] = motion.bend * (2 * share - 1)
+        number += 3
+    for quantity, size, forms in zip(
+        (shift, turn), motion.drift, motion.forms, strict=True
+    ):
+        for k in range(1, forms + 1):
+            form = size * np.sqrt(2) / (k * np.pi) * np.cos(k * np.pi * share)
+            for axis in range(3):
+                quantity[number + axis, :, axis] = form
+            number += 3
+    correction = pose.rotation @ motion.start.rotation.T
+    position = position - np.tensordot(errors, shift, axes=1)
+    placed = (position - motion.start.position) @ correction.T + pose.position
+    attitude = (
+        Rotation.from_matrix(correction)
+        * Rotation.from_rotvec(-np.tensordot(errors, turn, axes=1))
+        * Rotation.from_quat(track.attitude[begin:end])
+    )
+    slope = np.zeros((len(stamps), 6, 6 + count))
+    slope[:, :, :6] = np.eye(6)
+    slope[:, :3, 3:6] = -cross_matrix(placed - pose.position)
+    slope[:, :3, 6:] = -np.transpose(shift @ correction.T, (1, 2, 0))
+    slope[:, 3:, 6:] = -np.transpose(turn @ correction.T, (1, 2, 0))
+    covariance = slope @ spread @ slope.swapaxes(1, 2)
+    result = replace(
+        track,
+        time=stamps,
+        position=placed,
+        attitude=attitude.as_quat(),
+        covariance=covariance,
+        remarks=(),
+    )
+    factors = motion.mounting
+    step = -errors[:fixed] @ factors
+    of_mounting = factors.T @ spread[6 : 6 + fixed, 6 : 6 + fixed] @ factors
+    return result, with_covariance(changed(motion.poses.mounting, step), of_mounting)

@@ -13,6 +13,8 @@ from scipy.stats import chi2, norm
 
 from amulor._progress import part, tell
 from amulor.errors import CubeError
+from amulor.io.trajectories import read_trajectory
+from amulor.platform import Mounting, Trajectory
 from amulor.site.blocks import averaged, block_of, block_size, pixels_of_scan
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import range_image_of
@@ -20,7 +22,12 @@ from amulor.site.registration.absolute import scale_tests, water_indices
 from amulor.site.registration.align import Alignment, align, squared_pull
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.landmarks import common_relief
-from amulor.site.registration.line import motion_of, straightened
+from amulor.site.registration.line import (
+    motion_of,
+    refined,
+    straightened,
+    track_in_frame,
+)
 from amulor.site.registration.network import (
     Centre,
     KnownDistance,
@@ -171,6 +178,26 @@ def register(
     if _fits(corrected, surfaces, images) and not _fits(site, surfaces, images):
         raise CubeError("\n".join(findings.mistakes))
     return _registered(site, surfaces, images, (*findings.poor, *findings.remarks))
+
+
+def refined_lines(
+    site: Site, result: Registration
+) -> Iterator[tuple[str, Trajectory, Mounting]]:
+    """Yield name, corrected trajectory and mounting of each line of a site."""
+    for scan in site.scan:
+        if scan.trajectory is None:
+            continue
+        image = range_image_of(scan)
+        image = averaged(image, block_size(site, scan.name, image))
+        motion = motion_of(site, scan, image)
+        assert motion is not None
+        errors = np.array([result.errors[key] for key in motion.keys])
+        spread = result.covariance_of(
+            f"pose {scan.name}", *(f"error {key}" for key in motion.keys)
+        )
+        track = track_in_frame(read_trajectory(scan.trajectory.file), site)
+        pose = result.poses[scan.name]
+        yield (scan.name, *refined(track, motion, pose, errors, spread))
 
 
 def _with_targets(site: Site) -> set[str]:
