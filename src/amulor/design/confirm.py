@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,14 @@ class Photons:
     """Ratio of water-signal amplitudes before the target, photons over model [1]."""
     water_error: Floats
     """Standard error of the water-signal ratio [1]."""
+    range_bound: float = math.nan
+    """Cramér-Rao bound of the range of one sample, for known water and an unknown
+    reflectance; NaN for a beam with a width, or air or glass before the water [m]."""
+    range_bound_error: float = math.nan
+    """Standard error of the bound [m]."""
+    free_range_bound: float = math.nan
+    """The same bound for unknown absorption and scattering; infinite if the frequencies
+    do not determine them [m]."""
 
 
 def follow_photons(
@@ -98,26 +106,77 @@ def follow_photons(
         depth=traced.depth.item(),
         reflectance=float(survey.targets[traced.target.item()].reflectance),
     )
+    setting = Setting(
+        absorption=water.absorption,
+        scattering=water.forward_scattering + water.diffuse_scattering,
+        phase_function=whole_phase_function(water),
+        group_index=water.group_index,
+        receiver_radius=survey.instrument.receiver.radius,
+        acceptance_angle=view.acceptance,
+        **beam_arguments(middle, water),
+    )
+    bounded = place.standoff == 0 and setting.beam_radius == 0
+    scattering = ("scattering",) if setting.scattering > 0 else ()
     tally = run(
-        Setting(
-            absorption=water.absorption,
-            scattering=water.forward_scattering + water.diffuse_scattering,
-            phase_function=whole_phase_function(water),
-            group_index=water.group_index,
-            receiver_radius=survey.instrument.receiver.radius,
-            acceptance_angle=view.acceptance,
-            **beam_arguments(middle, water),
-        ),
+        setting,
         place,
         np.array([0.0, *middle.instrument.modulation_frequencies]),
         relative_error=relative_error,
         histories=histories,
         seed=seed,
         progress=_reported(progress, relative_error),
+        derivatives=(*_KNOWN_WATER, "absorption", *scattering) if bounded else (),
     )
-    return _compared(
-        tally, _model(middle, water, traced, place), group_index=water.group_index
+    model = _model(middle, water, traced, place)
+    compared = _compared(tally, model, group_index=water.group_index)
+    if not bounded:
+        return compared
+    noise = _noise(middle, model[0])
+    known, error = _bound(tally, noise, _KNOWN_WATER)
+    free, _ = _bound(tally, noise, tally.derivatives)
+    return replace(
+        compared, range_bound=known, range_bound_error=error, free_range_bound=free
     )
+
+
+#: Parameters that are estimated if the water is known.
+_KNOWN_WATER = ("range", "reflectance")
+
+
+def _noise(survey: Survey, echo: Complex) -> Floats:
+    """Return the noise covariance of a sample in units of the launched power.
+
+    Of several channels it is that with the least noise of the phase.
+    """
+    samples = simulate(survey, rng=0)
+    truth = samples.amulor.truth
+    volt = (truth["target_in_phase"] + 1j * truth["target_quadrature"]).values[
+        ..., 0, 0
+    ]
+    in_phase = samples["in_phase_uncertainty"].values ** 2
+    quadrature = samples["quadrature_uncertainty"].values ** 2
+    both = samples.amulor.covariance.values
+    covariance = np.stack([in_phase, both, both, quadrature], axis=-1)
+    covariance = covariance[:, :, 0, 0].reshape(*volt.shape, 2, 2)
+    across = np.stack([-volt.imag, volt.real], axis=-1)
+    across /= np.abs(volt)[..., np.newaxis] ** 2
+    size = np.einsum("fpi,fpij,fpj->p", across, covariance, across)
+    best = int(np.argmin(size))
+    factor = echo / volt[:, best]
+    turn = np.stack([factor.real, -factor.imag, factor.imag, factor.real], axis=-1)
+    turn = turn.reshape(-1, 2, 2)
+    noise: Floats = turn @ covariance[:, best] @ turn.swapaxes(-1, -2)
+    return noise
+
+
+def _bound(tally: Tally, noise: Floats, names: tuple[str, ...]) -> tuple[float, float]:
+    """Return the bound of the range and its error; infinite if not determined."""
+    infinite = 1e30 * np.eye(2)[np.newaxis]  # no sample at zero frequency
+    try:
+        bound, error = tally.bounds(np.concatenate([infinite, noise]), names)
+    except ValueError:
+        return math.inf, math.nan
+    return float(bound[0]), float(error[0])
 
 
 def _reported(
@@ -264,6 +323,9 @@ class Confirmation:
                 name: value.tolist() if isinstance(value, np.ndarray) else value
                 for name, value in asdict(self.photons).items()
             }
+            for name in ("range_bound", "range_bound_error", "free_range_bound"):
+                if not math.isfinite(photons[name]):
+                    photons[name] = None
         return {
             "name": self.name,
             "scans": {**asdict(self.scans), "holds": self.scans.holds},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -218,6 +218,7 @@ def run(
     technique: Technique | None = None,
     threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
+    derivatives: Sequence[str] = (),
 ) -> Tally:
     """Simulate photons of one beam, and return the tally."""
     layer = Layer(
@@ -265,6 +266,7 @@ def run(
         technique=technique,
         threads=threads,
         progress=progress,
+        derivatives=derivatives,
     )
     if tally.interrupted:
         raise KeyboardInterrupt

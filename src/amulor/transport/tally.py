@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -167,6 +168,10 @@ class PathRecord:
         return result
 
 
+#: Parts of a run whose derivatives are independent.
+_FOLDS = 16
+#: Smallest eigenvalue of the information on scaled parameters that determines them.
+_LEAST_INFORMATION = 1e-9
 #: Batches are merged in pairs when there are that many, so memory stays flat.
 MOST_BATCHES = 256
 
@@ -532,6 +537,101 @@ class Tally:
         values = self._analysed(values, analyser)
         return self._mean(values), self.covariance_of(values)
 
+    def bounds(
+        self, noise: ArrayLike, names: Sequence[str] = ()
+    ) -> tuple[Array, Array]:
+        r"""Return Cramér-Rao bounds of parameters from one measurement of the signal.
+
+        Parameters
+        ----------
+        noise : array_like
+            Covariance of the noise of real and imaginary part at each frequency, shape
+            (n, 2, 2), relative to the launched power [1].
+        names : sequence of str
+            Parameters that are estimated together, by default all `derivatives`. The
+            other parameters count as known.
+
+        Returns
+        -------
+        bound : ndarray
+            Smallest standard uncertainty of each parameter without bias, shape (k,).
+        error : ndarray
+            Standard error of the bound, by the jackknife, shape (k,).
+
+        Raises
+        ------
+        ValueError
+            If the run has no such derivative or fewer than 16 batches, or if the signal
+            does not determine the parameters.
+
+        Notes
+        -----
+        The bound is the root of the diagonal of the inverse of the Fisher information
+        :math:`J^T C^{-1} J`, with the derivatives J of the signal and the covariance C.
+        The jackknife over 16 parts of the run removes the bias by the errors of the
+        derivatives, and gives the error.
+
+        Examples
+        --------
+        >>> from amulor.optics.phase_functions.models import isotropic
+        >>> from amulor.transport import (
+        ...     GaussianReceiver, Medium, PlaneTarget, Source, simulate,
+        ... )
+        >>> clear = Medium.homogeneous(
+        ...     absorption=0.1, scattering=0.0, phase_function=isotropic(),
+        ...     group_index=1.33,
+        ... )
+        >>> tally = simulate(
+        ...     clear, Source(), GaussianReceiver(radius=0.05, acceptance_angle=0.1),
+        ...     [50e6], histories=20_000, seed=1,
+        ...     target=PlaneTarget(position=(0, 0, 2.0), reflectance=0.2),
+        ...     derivatives=("range", "reflectance"),
+        ... )
+        >>> tenth = (0.1 * abs(tally.signal[0])) ** 2 / 2 * np.eye(2)
+        >>> bound, _ = tally.bounds(tenth[np.newaxis])
+        >>> print(f"{1e3 * bound[0]:.0f} mm")
+        25 mm
+        """
+        chosen = tuple(names) or self.derivatives
+        folds = np.arange(self.histories_of.size) % _FOLDS
+        if self.derivative_batches is None or not set(chosen) <= set(self.derivatives):
+            raise ValueError(
+                f"the derivatives are {', '.join(self.derivatives) or 'none'}; got "
+                f"{', '.join(chosen) or 'none'}"
+            )
+        if self.histories_of.size < _FOLDS:
+            raise ValueError(
+                f"bounds need a run of at least {_FOLDS} batches, got "
+                f"{self.histories_of.size}"
+            )
+        slopes = self.derivative_batches[:, :, 0]
+        slopes = slopes.reshape(len(slopes), -1, 2, slopes.shape[-1]).sum(axis=2)
+        slopes = slopes[:, [self.derivatives.index(name) for name in chosen]]
+        weighted = slopes * (self.histories_of / self.histories)[:, None, None]
+        sums = np.stack([weighted[folds == k].sum(axis=0) for k in range(_FOLDS)])
+        share = np.bincount(folds, self.histories_of) / self.histories
+        inverse = np.linalg.inv(np.asarray(noise, dtype=np.float64))
+
+        def bound(slope: Complex) -> Array:
+            pair = np.stack([slope.real, slope.imag], axis=-1)
+            information = np.einsum("kfi,fij,lfj->kl", pair, inverse, pair)
+            size = np.sqrt(np.diagonal(information))
+            _refuse_undetermined(bool(np.all(size > 0)))
+            scaled = information / np.outer(size, size)
+            least = float(np.linalg.eigvalsh(scaled)[0])
+            _refuse_undetermined(least > _LEAST_INFORMATION)
+            inverted: Array = np.sqrt(np.diagonal(np.linalg.inv(scaled))) / size
+            return inverted
+
+        whole = sums.sum(axis=0)
+        without = np.stack(
+            [bound((whole - sums[k]) / (1 - share[k])) for k in range(_FOLDS)]
+        )
+        error = np.std(without, axis=0) * math.sqrt(_FOLDS - 1)
+        corrected = _FOLDS * bound(whole) - (_FOLDS - 1) * without.mean(axis=0)
+        _refuse_undetermined(bool(np.all(corrected > 2 * error)))
+        return corrected, error
+
     def relative_error_of(self, light: str = "all", *, analyser: str = "none") -> Array:
         """Return the relative standard error of a kind of light, by frequency.
 
@@ -725,6 +825,15 @@ class Tally:
             else together(self.contributions, other.contributions),
             next_batch=-1,
             record=None,
+        )
+
+
+def _refuse_undetermined(determined: bool) -> None:
+    """Raise a ValueError if parameters are not determined."""
+    if not determined:
+        raise ValueError(
+            "the signal does not determine the parameters within the errors of its "
+            "derivatives; use more frequencies, more histories or fewer parameters"
         )
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.constants import speed_of_light
 
 from amulor.design.confirm import follow_photons
 from amulor.errors import SurveyError
+from amulor.simulation import simulate
 from amulor.survey import Survey
 
 
@@ -25,6 +27,38 @@ def test_in_water_that_scatters_nothing_photons_are_the_model(survey: Survey) ->
     # an aperture of 1/e radius R the mean way is R^2 / 2 L longer, the range half that.
     np.testing.assert_allclose(found.echo, 1.0, atol=5 * found.echo_error[0] + 2e-3)
     assert found.shift[0] == pytest.approx(0.02**2 / (4 * 1.5), rel=0.1)
+
+
+def test_the_bound_is_that_of_the_noise_of_a_sample(survey: Survey) -> None:
+    clear = survey.with_(
+        {
+            "water": {
+                "absorption": 0.1, "scattering": 1e-7, "asymmetry": 0.9,
+                "refractive_index": 1.34, "group_index": 1.34,
+            },
+            "instrument.emitter.beam_radius": 0.0,
+        }
+    )  # fmt: skip
+    found = follow_photons(clear, histories=100_000)
+    samples = simulate(
+        clear.with_({"scan.columns": 1, "scan.rows": 1, "scan.azimuth_span": 0.0,
+                     "scan.elevation_span": 0.0}), rng=0,
+    )  # fmt: skip
+    # Of a phase alone: the reflectance takes the amplitude.
+    truth = samples.amulor.truth
+    light = [truth[f"target_{part}"].values for part in ("in_phase", "quadrature")]
+    real, imaginary = (part[0, :, 0, 0] for part in light)
+    sigma = [samples[f"{n}_uncertainty"].values for n in ("in_phase", "quadrature")]
+    across = imaginary**2 * sigma[0][0, :, 0, 0] ** 2
+    across += real**2 * sigma[1][0, :, 0, 0] ** 2
+    both = samples["in_phase_quadrature_covariance"].values[0, :, 0, 0]
+    across -= 2 * real * imaginary * both
+    phase = np.sqrt(across) / (real**2 + imaginary**2)
+    per_radian = speed_of_light / 1.34 / (4 * np.pi * 39e6)
+    assert found.range_bound == pytest.approx(per_radian * phase.min(), rel=0.02)
+    assert 0 < found.range_bound_error < 0.05 * found.range_bound
+    # One frequency does not tell absorption and scattering apart.
+    assert found.free_range_bound == np.inf
 
 
 @pytest.mark.slow

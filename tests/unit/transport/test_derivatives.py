@@ -166,6 +166,39 @@ def test_a_plate_has_the_derivatives_of_the_integral_over_a_gaussian_face():
         assert np.all(np.abs(slope - expected) < 4 * error), name
 
 
+def test_bounds_are_those_of_the_integral_over_the_face():
+    target = PlaneTarget(position=(0, 0, 1.2), normal=(0.28, 0, -0.96), reflectance=0.6)
+    names = ("range", "reflectance", "absorption")
+    tally = run(
+        0.4, 0.0, isotropic(), target=target, receiver=eye(), histories=20_000,
+        derivatives=("receiver_right", *names),
+    )  # fmt: skip
+    light = seen_plate(RECEIVER, 0.4)
+    near, far = (seen_plate(RECEIVER | {"range": 1.2 + s}, 0.4) for s in (-1e-4, 1e-4))
+    less, more = (seen_plate(RECEIVER, 0.4 + step) for step in (-1e-4, 1e-4))
+    slopes = np.stack([(far - near) / 2e-4, light / 0.6, (more - less) / 2e-4])
+    # Noise of 2 % of the light, and half of it in the quadrature.
+    sigma = 0.02 * np.abs(light)[:, np.newaxis] * np.array([1.0, 0.5])
+    noise = sigma[..., np.newaxis] ** 2 * np.eye(2)
+    scaled = np.stack([slopes.real / sigma[:, 0], slopes.imag / sigma[:, 1]], axis=-1)
+    information = np.einsum("kfi,lfi->kl", scaled, scaled)
+    for count in (1, 2):
+        expected = np.sqrt(np.diagonal(np.linalg.inv(information[:count, :count])))
+        bound, error = tally.bounds(noise, names[:count])
+        assert np.all(error < 0.05 * expected)
+        assert np.all(np.abs(bound - expected) < 4 * error)
+    # All light has nearly the same way: reflectance and absorption act alike.
+    with pytest.raises(ValueError, match="does not determine the parameters"):
+        tally.bounds(noise[:1], names)
+    with pytest.raises(ValueError, match=r"the derivatives are .*; got albedo"):
+        tally.bounds(noise, ("albedo",))
+    short = run(
+        0.4, 0.0, isotropic(), target=target, histories=64, derivatives=("absorption",)
+    )
+    with pytest.raises(ValueError, match="at least 16 batches, got 8"):
+        short.bounds(noise)
+
+
 def test_thin_water_has_the_derivatives_of_a_shifted_and_tilted_receiver():
     # A point on the beam at the depth z is x + z tilt away from the axis; of the face,
     # an area of pi R^2 z^2 gamma^2 / (R^2 + z^2 gamma^2) sees it, times

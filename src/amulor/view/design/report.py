@@ -355,7 +355,7 @@ def _confirmed(confirmations: Sequence[Confirmation]) -> list[Part]:
             f"{scans.offset * 1e3:+.3f} ± {scans.offset_error * 1e3:.3f}",
         ]
         if photons is None:
-            rows.append([*row, "", "", "", ""])
+            rows.append([*row, "", "", "", "", ""])
             continue
         top = int(np.argmax(photons.frequency))
         shift, rough = photons.shift[top] * 1e3, photons.shift_error[top] * 1e3
@@ -366,16 +366,21 @@ def _confirmed(confirmations: Sequence[Confirmation]) -> list[Part]:
                 f"{photons.water[top]:.3f} ± {photons.water_error[top]:.3f}",
                 f"{shift:.2f} ± {rough:.2f}",
                 f"{confirmation.late * 1e3:.2f}",
+                f"{photons.range_bound * 1e3:.3g}"
+                if np.isfinite(photons.range_bound)
+                else "",
             ]
         )
     header = ["instrument", "at", "predicted [mm]", "achieved [mm]", "ratio"]
     header += ["offset [mm]", "echo", "water", "late by [mm]", "stated [mm]"]
+    header += ["bound [mm]"]
     ranges = confirmations[0].scans.ranges
     caption = (
         f"{ranges} simulated ranges of each, through the chosen way to "
         "take the water out; the ratio is to be 0.9 to 1.1. Echo and water before the "
         "target by photon transport over those of the model, at the highest frequency; "
         "how late the echo is, of which imaging takes three quarters off, and what is "
-        "stated as the uncertainty of that."
+        "stated as the uncertainty of that. The bound is that of Cramér and Rao for "
+        "the range of one sample in known water, by derivatives of the photons' light."
     )
     return [*parts, Table(header, rows, caption)]
