@@ -339,6 +339,8 @@ def _line_of(name: str, rows: list[dict[str, str]]) -> str:
         return np.array([float(row[column]) for row in good])
 
     parts = [f"{name}: {len(good)} of {len(rows)} good"]
+    if not good:
+        return parts[0]
     parts += [
         f"{column} {np.median(numbers(column)):.2f} mm"
         for column in ("before", "line", "tripod")
