@@ -402,3 +402,26 @@ def test_an_angle_between_arms_of_different_length_has_the_error_of_each() -> No
             ends.append(angle(moved))
         square += ((ends[0] - ends[1]) / 2e-6 * shapes.OWN) ** 2
     assert found.random == pytest.approx(np.sqrt(square), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "fewest"),
+    # A plane has 3 numbers, a circle 6 for two conditions a point, a sphere 4, a
+    # cylinder 5; one pixel more shows a misfit.
+    [("plane", 4), ("circle", 4), ("sphere", 5), ("cylinder", 6)],
+)
+def test_a_shape_needs_one_pixel_more_than_it_has_numbers(
+    scan: shapes.Beams, shape: str, fewest: int
+) -> None:
+    ball = shapes.to_sphere(scan, np.array([0.0, 0.0, 1.6]), 0.3)
+    image = shapes.image(scan, ball)
+    region = np.zeros(ball.shape, dtype=bool)
+    places = [(4, 5), (18, 27), (19, 4), (5, 28), (12, 16), (9, 20)]
+    fit = getattr(measure, shape)
+    for row, column in places[: fewest - 1]:
+        region[row, column] = True
+    assert np.isfinite(ball[region]).all()
+    with pytest.raises(CubeError, match=f"at least {fewest} usable pixels"):
+        fit(image, region)
+    region[places[fewest - 1]] = True
+    assert fit(image, region).pixels == fewest
