@@ -9,7 +9,7 @@ Hulst (1980), in standard errors. On the GPU each thread starts its next photon 
 as one ends. In the last rows it also counts the light that leaves by its path length.
 
 Needs numpy, numba and numba-cuda; nothing of amulor. Without a GPU its rows are left
-out. docs/decisions/0045-no-gpu.md contains the result.
+out. docs/decisions/0046-photons-without-a-gpu.md has the result.
 """
 
 from __future__ import annotations
