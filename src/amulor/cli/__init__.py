@@ -93,7 +93,7 @@ COMMANDS = {
     ),
     "import transients": (
         "transients:transients",
-        "Convert single-photon histograms to a measurement cube.",
+        "Convert single-photon histograms or waveforms to a measurement cube.",
     ),
     "import recordings": (
         "recordings:recordings",
