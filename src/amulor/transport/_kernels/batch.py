@@ -213,7 +213,10 @@ def run_batch(
             if plan.direct:
                 direct_from_segments(state, forward, scene, plan, record, arrival)
                 direct_from_touches(state, forward, scene, plan, record, arrival)
-            block[g] = arrival.total
+            # One by one: the assignment of an array takes three seconds to compile.
+            for k in range(2):
+                for i in range(components):
+                    block[g, k, i] = arrival.total[k, i]
             # Reflections, and adjoint segments that may reach them, are kept. A mesh
             # may block any part of a path.
             forward.used[USED_SEGMENTS] = 0
