@@ -23,6 +23,7 @@ from amulor.rejection.reference.before_target import (
     strength_of,
     water_before_target,
 )
+from amulor.rejection.reference.late_phase import late_phase
 from amulor.rejection.reference.presence import CutColumns, shows_target
 
 Floats = NDArray[np.float64]
@@ -183,6 +184,7 @@ def subtract_open_water(
             water.common + column + change,
             modulation_frequency=scan.frequency,
             path=water.path,
+            late=late_phase(scan, water.path),
         )
     target = target - strength.subtracted * water.signal
     change = change + along(water.signal, strength.error)

@@ -494,6 +494,7 @@ def strength_of(
     *,
     modulation_frequency: Floats,
     path: Floats,
+    late: tuple[Floats, Floats] | None = None,
 ) -> Strength:
     r"""Estimate the relative change of the water signal from its reference to the scan.
 
@@ -505,7 +506,9 @@ def strength_of(
     The fit is least squares over all samples, with a free path for each pixel and one c
     for the scan. One frequency in one channel does not determine c. Errors common to
     all pixels do not average out. The prior of c is :math:`0 \pm 2 \%`, unless c is
-    clearly larger. In a large scan the fit uses 20,000 evenly spaced pixels.
+    clearly larger. In a large scan the fit uses 20,000 evenly spaced pixels. Phases by
+    late light differ between frequencies as those of changed water do. `late` are these
+    phases with their uncertainties, over (frequency, row, column).
     """
     frequency = modulation_frequency.reshape(-1, 1, 1)
     if len(frequency) == 1:
@@ -535,7 +538,16 @@ def strength_of(
     )
     total = np.hypot(sigma, shared)
     valid &= (total < _BLURRED) & (sigma > 0)
-    phase = np.angle(safe * np.exp(-1j * wavenumber * path))
+    late_error = np.zeros((len(frequency), 1, 1))
+    if late is not None:
+        late_turn, late_error = (
+            part.reshape(len(frequency), 1, -1)[:, :, pixels] for part in late
+        )
+        safe_phase = safe * np.exp(-1j * np.nan_to_num(late_turn))
+        late_error = np.nan_to_num(late_error)
+    else:
+        safe_phase = safe
+    phase = np.angle(safe_phase * np.exp(-1j * wavenumber * path))
     turn = np.where(valid, (water_signal / safe).imag, 0.0)
     weight = np.divide(1.0, total**2, out=np.zeros(total.shape), where=valid)
     fit = _fit(phase, turn, wavenumber, weight)
@@ -548,7 +560,9 @@ def strength_of(
     # Independent errors average out over the pixels, common errors add up.
     by_independent = np.sum((fit.gain * sigma) ** 2)
     by_shared = np.sum(np.sum(np.abs(fit.gain * shared), axis=2) ** 2)
-    variance = float(by_independent + by_shared)
+    # One delay is wrong in all pixels and frequencies.
+    by_late = np.sum(fit.gain * late_error) ** 2
+    variance = float(by_independent + by_shared + by_late)
     expected = DEPARTURE**2
     surprise = bool(fit.change**2 > _SURPRISE**2 * (expected + variance))
     if surprise:
