@@ -96,6 +96,55 @@ def test_derivatives_are_the_slopes_of_independent_runs():
     assert distance.max() < 4.5
 
 
+MOVED = {
+    "receiver_right": 0.006, "receiver_down": 0.006, "receiver_radius": 0.003,
+    "receiver_tilt_right": 0.015, "receiver_tilt_down": 0.015, "range": 0.1,
+}  # fmt: skip
+
+
+def moved(seed, derivatives=(), **shift):
+    """Return a run with a tilted target and a Gaussian receiver that is moved."""
+    at = dict.fromkeys(MOVED, 0.0) | shift
+    water = Medium.homogeneous(
+        absorption=0.2, scattering=0.6, group_index=1.34,
+        phase_function=henyey_greenstein_function(asymmetry=0.9),
+    )  # fmt: skip
+    right, down = at["receiver_tilt_right"] - 0.03, at["receiver_tilt_down"]
+    receiver = GaussianReceiver(
+        radius=0.03 + at["receiver_radius"], acceptance_angle=0.08,
+        position=(0.07 + at["receiver_right"], at["receiver_down"], 0),
+        direction=(np.sin(right), np.sin(down), np.cos(right)),
+    )  # fmt: skip
+    target = PlaneTarget(
+        position=(0, 0, 2 + at["range"]), normal=(0.15, 0, -0.99), reflectance=0.3
+    )
+    return simulate(
+        water, Source(), receiver, FREQUENCY, histories=200_000, seed=seed,
+        target=target, derivatives=derivatives,
+    )  # fmt: skip
+
+
+def test_derivatives_to_receiver_and_range_are_slopes_of_independent_runs():
+    tally = moved(1, tuple(MOVED))
+    distance = []
+    for k, (name, step) in enumerate(MOVED.items()):
+        above = moved(10 * k + 11, **{name: step})
+        below = moved(10 * k + 12, **{name: -step})
+        for light in ("water", "target"):
+            slope, covariance = tally.derivative(name, light)
+            signals = [getattr(r, f"{light}_signal") for r in (above, below)]
+            errors = [getattr(r, f"{light}_covariance") for r in (above, below)]
+            expected = (signals[0] - signals[1]) / (2 * step)
+            covariance = covariance + sum(errors) / (2 * step) ** 2
+            value, variance = parts(slope - expected, covariance)
+            distance.extend(value / np.sqrt(variance))
+    distance = np.abs(distance)
+    # 60 numbers, of which those of one run are correlated.
+    assert distance.size == 60
+    assert np.mean(distance < 2) > 0.85
+    assert distance.max() < 4.5
+
+
 def test_derivatives_are_those_of_a_plain_loop():
     case = plain.Case()
     receiver = GaussianReceiver(
