@@ -539,7 +539,6 @@ def write_page(rows: list[dict[str, str]], total: int, shown: str) -> None:
     for name, content in {
         "random sites": f"{count}\n\n{table(rows)}",
         "quantities of random sites": quantities(rows),
-        "test values of random sites": classes(rows),
         "reasons of random sites": reasons(rows),
     }.items():
         marks = rf"(<!-- {name} -->\n).*?(<!-- end of {name} -->\n)"
