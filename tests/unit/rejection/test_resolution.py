@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from amulor import imaging, rejection
+from amulor.errors import CubeError
 from amulor.imaging.instrument_tests import instrument_tests
 from amulor.rejection.observation import Observation
 from amulor.rejection.resolution import resolution_of, step_of, with_resolution
@@ -84,3 +85,11 @@ def test_coarse_outputs_are_named_and_their_ranges_hold() -> None:
     off = np.abs(error / image["slant_range_uncertainty"]).values
     # Without the rounding error, half of these pixels were more than 3.5 off.
     assert np.nanmax(off) < 3
+
+
+def test_water_below_the_resolution_has_no_ratio() -> None:
+    cube = simulate(survey(1, PLATE, columns=4, rows=2), rng=1)
+    recorded = Recorded(1, 1, cube=cube)
+    coarse = with_outputs(cube, *resolution(10.0)(recorded))
+    with pytest.raises(CubeError, match="0 V in all"):
+        rejection.water_ratio(coarse)
