@@ -275,3 +275,13 @@ def test_corrected_files_place_points_as_the_site_does(
     xyz = np.stack([points[axis].values for axis in "xyz"], axis=1)[chosen]
     # Shifts by centimeters and 0.1 degrees are linear within 0.1 mm.
     np.testing.assert_allclose(xyz, cloud.position[mine], atol=1.5e-4)
+
+
+def test_the_rest_of_a_walk_is_below_the_noise_of_a_range(drawn, adjusted) -> None:
+    motion = adjusted[1]["line 1"].motion
+    # 1 mm of noise, and the rest of a walk: the sum of 1 / (k pi)^2 beyond the forms.
+    beyond = np.arange(motion.forms[0] + 1, 100_000)
+    rest = motion.drift[0] * np.sqrt((1 / (beyond * np.pi) ** 2).sum())
+    np.testing.assert_allclose(motion.rest, rest, rtol=0.1)
+    assert rest < 0.4e-3 or motion.forms[0] == 32
+    assert motion.pieces.max() == 2 * motion.forms[0]

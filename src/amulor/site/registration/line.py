@@ -77,6 +77,17 @@ class Motion:
     """Standard uncertainty of the range by the change during a reading, shape (row,
     column) [m]."""
 
+    @property
+    def rest(self) -> float:
+        """Size of the random walk of the position beyond its forms [m]."""
+        return float(self.drift[0] / (np.pi * np.sqrt(max(self.forms[0], 1))))
+
+    @property
+    def pieces(self) -> Numbers:
+        """Piece of the line at each pixel, within which this rest is constant."""
+        share = np.nan_to_num(self.course)
+        return np.asarray((2 * max(self.forms[0], 1) * share).astype(np.intp))
+
     def shifts(self, pixel: Numbers, points: Floats) -> Floats:
         """Return shifts of points by one sigma of each error, shape (k, n, 3) [m].
 

@@ -375,7 +375,10 @@ def _noise_variance(
     trust: Sequence[float],
     layout: Layout,
 ) -> Floats:
-    """Return the gradient covariance that the pixel noise of one scan causes."""
+    """Return the gradient covariance that the noise of one scan causes.
+
+    That is the noise of pixels, and the rest of random walks of a moving instrument.
+    """
     parts: list[tuple[Pair, float]] = [
         (pair, weight)
         for pair, weight in zip(pairs, trust, strict=True)
@@ -403,6 +406,23 @@ def _noise_variance(
             of_pixel[:, local] += pair.window.T @ rows
     of_pixel *= np.nan_to_num(surface.own.ravel())[:, None]
     variance[np.ix_(columns, columns)] = of_pixel.T @ of_pixel
+    if surface.motion is not None:
+        of_pieces = np.zeros((surface.motion.pieces.max() + 1, 3, len(columns)))
+        for pair, weight in parts:
+            at, spread = pair_unknowns(pair, state, layout)
+            free = at >= 0
+            rows = pair.by_source @ spread[:, free]
+            rows *= (np.sqrt(weight) * pair.weight)[:, None]
+            source = name == pair.source
+            pixel = pair.source_pixel if source else pair.target_pixel
+            shift = pair.by_target[:, :3] * (1.0 if source else -1.0)
+            piece = surface.motion.pieces.ravel()[pixel]
+            for axis in range(3):
+                sums = np.zeros((len(of_pieces), int(free.sum())))
+                np.add.at(sums, piece, shift[:, axis, None] * rows)
+                of_pieces[:, axis, place[at[free]]] += sums
+        flat = surface.motion.rest * of_pieces.reshape(-1, len(columns))
+        variance[np.ix_(columns, columns)] += flat.T @ flat
     return variance
 
 
