@@ -383,7 +383,7 @@ def instrument_term(
     drift = speed_of_light * np.hypot(weight @ remaining, weight @ warmer)
     phases = instrument_phase(channel, observation.survey)
     per_phase = np.abs(weight * observation.path_per_phase.ravel())
-    path = np.linalg.norm(per_phase * phases)
+    path: Any = np.linalg.norm(per_phase * phases)
     if observation.frequency_phase is not None:
         # Leakage, other water and most errors of a demodulator turn many frequencies
         # the same way: they do not average out.
