@@ -350,8 +350,10 @@ class _Counted:
             for number in np.unique(piece.scan[piece.moving]):
                 moving = piece.moving & (piece.scan == number)
                 self.moving[number] = self.moving.get(number, 0) + int(moving.sum())
-            # Of the many points of averaged scans a hundredth suffices.
-            self._sigma.append(piece.sigma[:: 100 if piece.brightest else 1])
+            # Of the many points of averaged scans a hundredth suffices. Without a copy
+            # it would keep the memory of all.
+            step = 100 if piece.brightest else 1
+            self._sigma.append(piece.sigma[::step].copy())
             yield piece
             release_memory()
 
