@@ -49,7 +49,9 @@ def made_pair(source: str, target: str, seed: int) -> Any:
 def made_surfaces() -> dict[str, Any]:
     rng = np.random.default_rng(4)
     return {
-        name: SimpleNamespace(own=rng.uniform(1e-3, 3e-3, (3, PIXELS // 3)))
+        name: SimpleNamespace(
+            own=rng.uniform(1e-3, 3e-3, (3, PIXELS // 3)), motion=None
+        )
         for name in NAMES
     }
 

@@ -1,6 +1,6 @@
 """Plain loop of photons through a slab on a core, all cores and an NVIDIA GPU.
 
-    python benchmarks/time_slab_on_gpu.py
+    python benchmarks/measure_slab_on_gpu.py
 
 Light falls straight on a slab (Henyey-Greenstein, asymmetry 0.75, thickness 2, albedo
 0.9). Photons are followed one by one until they leave or are absorbed. Each row states
