@@ -54,11 +54,11 @@ def reject(
     open_water
         Cube of the same water without a target, for cubes without open-water shots.
     target_ratio
-        Cross- over co-polarized signal of the target, for polarization and combined;
-        estimated by default.
+        Cross- over co-polarized signal of the target, for polarization,
+        polarization-difference and combined; estimated by default.
     water_ratio
-        Cross- over co-polarized signal of the water, for polarization; estimated by
-        default.
+        Cross- over co-polarized signal of the water, for polarization and
+        polarization-difference; estimated by default.
     water_fluctuation
         Relative change of the water signal between samples, such as "5 %", for
         polarization without open-water shots.
@@ -74,8 +74,8 @@ def reject(
     farthest
         Farthest possible slant range, such as "3 m"; with --nearest.
     option
-        Further option of the method, such as "threshold=0.2", for methods of other
-        packages; may be repeated.
+        Further option of the method, such as "surface=nearest" of range-profile; may be
+        repeated.
     tile_rows
         Process this many rows at a time, with bounded memory. Files of more than 2.1
         million samples are always processed by rows. The file of --open-water is read
