@@ -437,8 +437,12 @@ def test_the_how_to_runs_as_it_is_printed(tmp_path, monkeypatch, capsys):
     for path in DATA.glob("*.npz"):
         (tmp_path / path.name).symlink_to(path)
     monkeypatch.chdir(tmp_path)
+    # Bins over a period of 100 ns, for the command with a dead time.
+    counts = np.random.default_rng(1).poisson(2.0, (2, 3, 200))
+    counter = {"bin_width_s": 5e-10, "cycles": 1000, "dead_time_s": 45e-9}
+    np.savez("scan.npz", counts=counts, **counter)
     commands = re.findall(r"^\$ amulor (.+)$", text, flags=re.MULTILINE)
-    assert len(commands) == 6
+    assert len(commands) == 7
     for command in commands:
         assert main(command.split()) == 0, command
     cubes.check(read_cube(tmp_path / "far-image.nc"), "range_image")

@@ -66,7 +66,6 @@ from amulor.transport._kernels.trace import (
 from amulor.transport._kernels.types import (
     Array,
     Arrival,
-    Face,
     Integers,
     Paths,
     Plan,
@@ -236,8 +235,7 @@ def join_touch(
     adjoint: Paths,
     pair: tuple[int, int],
     share: float,
-    target: Target,
-    face: Face,
+    scene: Scene,
     plan: Plan,
     record: Record,
     arrival: Arrival,
@@ -250,6 +248,7 @@ def join_touch(
     """
     i, j = pair
     touch, second, out = forward.touch, adjoint.segment, arrival.light
+    target, face = scene.target, scene.face
     normal, mesh = target.normal, target.mesh
     z = touch[i, TOUCH_Z]
     if z <= second[j, Z_LOW] or z > second[j, Z_HIGH]:
@@ -360,8 +359,7 @@ def join_touches(
                     adjoint,
                     (i, j),
                     stride / groups,
-                    scene.target,
-                    scene.face,
+                    scene,
                     plan,
                     record,
                     arrival,

@@ -457,7 +457,8 @@ export function drawSpectrum(canvas, state, colours) {
     ["water", "water", INK.sky, [1, 3]],
   ].filter(([name]) => spectrum[name]);
   // The range of a new row comes before its signals.
-  const known = Number.isFinite(scene.value(scene.main, ...state.cursor));
+  const { cursor } = state;
+  const known = cursor && Number.isFinite(scene.value(scene.main, ...cursor));
   const missing = known ? "being estimated" : "not measured";
   if (spectrum.frequency.length === 1) return drawPhasors(view, spectrum, parts, missing, colours);
   const all = parts.flatMap(([name]) => spectrum[name].amplitude).filter((value) => value > 0);
