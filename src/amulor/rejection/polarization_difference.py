@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
-from scipy.stats import chi2
+from scipy.special import gammainccinv
 
 from amulor import cube as cubes
 from amulor.cube import tiles
@@ -351,7 +351,8 @@ def _misfits(
     usable: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """Return the pixels whose difference is not a single echo."""
-    limit = chi2.isf(_IMPROBABLE, 2 * wave.size - 2) * fit.scale
+    # Quantile of chi-square of 2 (count - 1) degrees of freedom.
+    limit = 2 * gammainccinv(wave.size - 1, _IMPROBABLE) * fit.scale
     misfits = np.zeros(len(usable), dtype=bool)
     contrast = fit.gain * (fit.target.at(wave) - fit.water)
     places = np.flatnonzero(usable)
