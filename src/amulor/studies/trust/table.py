@@ -121,7 +121,8 @@ def _mean(values: NDArray[np.bool_]) -> float:
 #: Scenes without a correct answer from the data: surfaces that share a pixel,
 #: undetectable instrument errors, ambiguity without a stated interval.
 _APART = (
-    "mixed 2 cm", "mixed 5 cm", "delay", "baseline", "axis", "index", "far", "far two"
+    "mixed 2 cm", "mixed 5 cm", "corner", "delay", "baseline", "axis", "index", "far",
+    "far two",
 )  # fmt: skip
 _GROUPS = (
     ("joint", ("joint", "joint, no shots")),
