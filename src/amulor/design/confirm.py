@@ -20,10 +20,9 @@ from amulor.imaging.common import own_variance
 from amulor.optics import ranging
 from amulor.simulation import SmallAngleModel, geometry, simulate
 from amulor.simulation.geometry import Geometry
-from amulor.simulation.photons import Place, Setting, run, way
+from amulor.simulation.photons import Place, run, setting_of, way
 from amulor.survey import Survey, WaterProperties, water_properties
 from amulor.survey.view import beam_arguments, has_sharp_receiver, refuse_layers
-from amulor.survey.waters.whole_function import whole_phase_function
 from amulor.transport import Progress, Tally
 
 __all__ = ["Confirmation", "Photons", "Scans", "confirm", "follow_photons", "scans"]
@@ -106,15 +105,7 @@ def follow_photons(
         depth=traced.depth.item(),
         reflectance=float(survey.targets[traced.target.item()].reflectance),
     )
-    setting = Setting(
-        absorption=water.absorption,
-        scattering=water.forward_scattering + water.diffuse_scattering,
-        phase_function=whole_phase_function(water),
-        group_index=water.group_index,
-        receiver_radius=survey.instrument.receiver.radius,
-        acceptance_angle=view.acceptance,
-        **beam_arguments(middle, water),
-    )
+    setting = setting_of(survey, water, view, **beam_arguments(middle, water))
     bounded = place.standoff == 0 and setting.beam_radius == 0
     scattering = ("scattering",) if setting.scattering > 0 else ()
     tally = run(

@@ -586,9 +586,16 @@ def _brightness(survey: Survey) -> float:
 
 
 def _setting(survey: Survey, water: WaterProperties, view: View) -> Setting:
-    """Return water, receiver and beam widths of a survey, for photon transport."""
+    """Return water and receiver of a survey that the photon model simulates."""
     refuse_layers(water, model="the photon model")
     refuse_beam_and_edges(survey, model="the photon model")
+    return setting_of(survey, water, view)
+
+
+def setting_of(
+    survey: Survey, water: WaterProperties, view: View, **widths: float
+) -> Setting:
+    """Return water, receiver and widths of the beam of a survey."""
     return Setting(
         absorption=water.absorption,
         scattering=water.forward_scattering + water.diffuse_scattering,
@@ -596,6 +603,7 @@ def _setting(survey: Survey, water: WaterProperties, view: View) -> Setting:
         group_index=water.group_index,
         receiver_radius=survey.instrument.receiver.radius,
         acceptance_angle=view.acceptance,
+        **widths,
     )
 
 
