@@ -538,16 +538,13 @@ def strength_of(
     )
     total = np.hypot(sigma, shared)
     valid &= (total < _BLURRED) & (sigma > 0)
-    late_error = np.zeros((len(frequency), 1, 1))
+    late_turn = late_error = np.zeros((len(frequency), 1, 1))
     if late is not None:
         late_turn, late_error = (
-            part.reshape(len(frequency), 1, -1)[:, :, pixels] for part in late
+            np.nan_to_num(part.reshape(len(frequency), 1, -1)[:, :, pixels])
+            for part in late
         )
-        safe_phase = safe * np.exp(-1j * np.nan_to_num(late_turn))
-        late_error = np.nan_to_num(late_error)
-    else:
-        safe_phase = safe
-    phase = np.angle(safe_phase * np.exp(-1j * wavenumber * path))
+    phase = np.angle(safe * np.exp(-1j * (wavenumber * path + late_turn)))
     turn = np.where(valid, (water_signal / safe).imag, 0.0)
     weight = np.divide(1.0, total**2, out=np.zeros(total.shape), where=valid)
     fit = _fit(phase, turn, wavenumber, weight)
