@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from amulor import cube as cubes
 from amulor import imaging, io
 from amulor.io.trajectories import write_trajectory
-from amulor.platform import Trajectory
 from amulor.platform.mounting import mounting_text
 from amulor.site import Site
 from amulor.site.merging.cloud import by_unknowns, merge, unknowns_of
@@ -28,10 +27,12 @@ from amulor.site.registration.line import rows_of_scan
 from amulor.site.registration.register import register, surfaces_of
 from amulor.survey.platform import Mounting
 
+sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "oracles"))
 import moving_pass
 import moving_scenes
 import patch_lines
+from measure_patch_tests import track_of
 
 #: Stated mounting, and standard deviations of its errors [m, rad, s].
 ARM, ANGLES, OFFSET = (0.1, 0.25, 0.8), (0.02, -1.52, 0.01), 0.05
@@ -104,23 +105,6 @@ def image_of(
         ),
     )
     return imaging.flag_outliers(imaging.flag_mixed(image))
-
-
-def track_of(line: dict, errors: dict[str, float]) -> Trajectory:
-    """Trajectory that a navigation system with these errors states."""
-    since = line["stamps"] - line["stamps"][0]
-    covariance = np.zeros((len(since), 6, 6))
-    for axis in range(6):
-        walk = errors["position_walk" if axis < 3 else "attitude_walk"]
-        fixed = errors["shift"] if axis < 3 else 0.0
-        covariance[:, axis, axis] = fixed**2 + walk**2 * since
-    return Trajectory(
-        time=line["stamps"],
-        position=line["position"],
-        attitude=Rotation.from_matrix(line["rotation"]).as_quat(),
-        covariance=covariance,
-        longest_gap=1.0,
-    )
 
 
 def make(

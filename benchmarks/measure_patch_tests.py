@@ -63,7 +63,7 @@ def lines_of(seed: int, *, lines=LINES, rows: int = 90, columns: int = 36):
             fan=np.radians(40), noise=NOISE, errors=ERRORS,
         )  # fmt: skip
         images.append(image_of(line))
-        tracks.append(track_of(line))
+        tracks.append(track_of(line, ERRORS))
     return images, tracks, error
 
 
@@ -96,14 +96,13 @@ def image_of(line: dict) -> xr.Dataset:
     )
 
 
-def track_of(line: dict) -> Trajectory:
+def track_of(line: dict, errors: dict[str, float]) -> Trajectory:
     """Trajectory that a navigation system with these errors states."""
-    count = len(line["stamps"])
     since = line["stamps"] - line["stamps"][0]
-    covariance = np.zeros((count, 6, 6))
+    covariance = np.zeros((len(since), 6, 6))
     for axis in range(6):
-        walk = ERRORS["position_walk" if axis < 3 else "attitude_walk"]
-        fixed = ERRORS["shift"] if axis < 3 else 0.0
+        walk = errors["position_walk" if axis < 3 else "attitude_walk"]
+        fixed = errors["shift"] if axis < 3 else 0.0
         covariance[:, axis, axis] = fixed**2 + walk**2 * since
     return Trajectory(
         time=line["stamps"],
