@@ -57,7 +57,7 @@ def made_surfaces() -> dict[str, Any]:
 
 
 def unknowns(pair: Any, state: State, at: dict[tuple[str, str], slice]) -> np.ndarray:
-    """Return what each unknown moves of the seven numbers of a pair."""
+    """Return derivatives of the seven numbers of a pair by the unknowns."""
     size = max(place.stop for place in at.values())
     result = np.zeros((7, size))
     for sign, name in ((1, pair.source), (-1, pair.target)):
@@ -117,7 +117,7 @@ def test_a_fixed_scan_has_no_unknowns(state: State) -> None:
 
 
 def distance_noise(pair: Any, name: str, surfaces: dict[str, Any]) -> np.ndarray:
-    """Return what each pixel of a scan adds to the distances of a pair."""
+    """Return derivatives of the distances of a pair by the noise of pixels."""
     own = surfaces[name].own.ravel()
     added = np.zeros((COUNT, PIXELS))
     for number in range(COUNT):
