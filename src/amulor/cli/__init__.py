@@ -443,7 +443,10 @@ def _run(words: list[str]) -> int:
                 result_action="return_value",
             )
     except CycloptsError as error:
-        _complain(" ".join(str(error).split()))
+        from amulor.cli._wrong_use import message
+
+        example, _ = EXAMPLES.get(" ".join(error.command_chain or ()), ("", ""))
+        _complain(message(error, example))
         return 2
     except UsageError as error:
         _complain(str(error))

@@ -167,3 +167,29 @@ def test_a_number_is_accepted_up_to_its_bounds(
     message = capsys.readouterr().err
     assert ("none" in message) == (expected == 1), message
     assert expected == 1 or words[-2] in message
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("reject a.nc", "reject: --method is missing. Example: amulor reject "),
+        (
+            "reject a.nc --methd auto",
+            "--method is missing; did you mean --method instead of --methd? Example: ",
+        ),
+        ("reject a.nc --method auto -o", "--output needs a value. Example: "),
+        ("reject a.nc b.nc --method auto -o t.nc", "too many arguments: b.nc. Example"),
+        ("site register", "site register: SITE is missing. Example: amulor site "),
+        ("image t.nc -o i.nc --frequency 3", "Unknown option: --frequency. Example: "),
+        ("view x.nc --port ten", "view: --port: found 'ten', needed is a whole number"),
+        (
+            "water --wavelength 405nm --temperature warm",
+            "--temperature: found 'warm', needed is a number",
+        ),
+    ],
+)
+def test_wrong_words_are_answered_with_an_example(words, expected, capsys) -> None:
+    assert main(words.split()) == 2
+    answer = capsys.readouterr().err
+    assert expected in answer
+    assert answer.count("\n") == 1
