@@ -19,6 +19,7 @@ from amulor.optics import small_angle, target_echo
 from amulor.optics.late_echo import RELATIVE_UNCERTAINTY, late_echo
 from amulor.optics.small_angle import sharp_receiver
 from amulor.survey import Survey, WaterProperties
+from amulor.survey.late_light import LEAST_ASYMMETRY, LEAST_PART
 from amulor.survey.view import beam_arguments, has_sharp_receiver
 from amulor.survey.waters.whole_function import whole_phase_function
 
@@ -235,11 +236,6 @@ def _nodes(
 _PER_OCTAVE = 3
 #: Up to it the delay hardly depends on the modulation; beyond, it is less [Hz].
 _FREQUENCY = 50e6
-#: Natural waters are at least so much of the delay late, and imaging takes the middle
-#: of that and of the whole, see `amulor.imaging.late_light` [1].
-_LEAST_PART = 0.5
-#: Below this asymmetry small angles do not describe the light [1].
-_LEAST_ASYMMETRY = 0.6
 
 
 def late_uncertainty(
@@ -263,7 +259,7 @@ def late_uncertainty(
         function = whole_phase_function(water)
     except SurveyError:
         return np.zeros(shape)
-    if function.asymmetry < _LEAST_ASYMMETRY:
+    if function.asymmetry < LEAST_ASYMMETRY:
         return np.zeros(shape)
     depth = np.maximum(distance - (distance[0] - float(places[0].depth[0])), 1e-3)
     count = 2 + math.ceil(_PER_OCTAVE * math.log2(depth[-1] / depth[0]))
@@ -301,11 +297,9 @@ def late_uncertainty(
         None if calibration is None else calibration.scattering_uncertainty
     )
     relative = (
-        math.hypot(RELATIVE_UNCERTAINTY, scattering_error or 0.0)
-        * (1 + _LEAST_PART)
-        / 2
+        math.hypot(RELATIVE_UNCERTAINTY, scattering_error or 0.0) * (1 + LEAST_PART) / 2
     )
-    spread = (1 - _LEAST_PART) / math.sqrt(12)
+    spread = (1 - LEAST_PART) / math.sqrt(12)
     return np.asarray(math.hypot(relative, spread) * np.abs(per_square) * depth**2)
 
 

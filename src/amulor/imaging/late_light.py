@@ -16,26 +16,26 @@ from amulor.optics import late_echo, ranging
 from amulor.optics.phase_functions.models import henyey_greenstein_function
 from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.survey import Survey, WaterProperties, water_properties
-from amulor.survey.view import beam_arguments, has_sharp_receiver, view
+from amulor.survey.late_light import (
+    DISPERSION_UNCERTAINTY,
+    LEAST_ASYMMETRY,
+    LEAST_PART,
+    late_echo_delay,
+    states_asymmetry_only,
+)
+from amulor.survey.view import view
 from amulor.survey.waters.whole_function import asymmetry_of
 
 Floats = NDArray[np.float64]
 
 #: Directions along each side of the scan, and distances, that are worked out.
 _DIRECTIONS, _DISTANCES = 5, 16
-#: Coasts and harbors are 0.6 to 0.7 times as late as a Henyey-Greenstein function of
-#: their asymmetry, clear ocean down to 0.41 at six attenuation lengths (Petzold) [1].
-_LEAST_PART = 0.5
-#: Relative standard uncertainty of how the delay falls with the frequency [1].
-_DISPERSION_UNCERTAINTY = 0.3
 #: Attenuation lengths from which on the uncertainty of the formula grows in proportion:
 #: it is 8 % too large at seven lengths of harbor water, and 10 % at nine [1].
 _LENGTHS = 5.0
 #: Asymmetries of the Henyey-Greenstein functions that are as late as those waters [1].
 _ASYMMETRIES = (0.90, 0.98)
-#: Below this asymmetry small angles do not describe the light [1].
-_LEAST_ASYMMETRY = 0.6
-#: And above which none is taken [1].
+#: Above this asymmetry no Henyey-Greenstein function is taken [1].
 _LARGEST_ASYMMETRY = 0.999
 
 
@@ -138,7 +138,7 @@ def dispersion(
     )
     turn = np.nan_to_num(to_phase * (lowest + highest) / 2)
     spread = np.nan_to_num(to_phase * (highest - lowest) / 2)
-    return (turn, np.hypot(_DISPERSION_UNCERTAINTY * turn, spread)), used
+    return (turn, np.hypot(DISPERSION_UNCERTAINTY * turn, spread)), used
 
 
 def _fit(observation: Observation, slant_range: Floats) -> LateFit:
@@ -216,25 +216,16 @@ def _between(
     reached = np.clip(depth, ends[0], ends[1])
     place[..., 2] = np.log(np.where(usable, reached, ends[0]))
     delays = []
-    formula = late_echo.late_echo
-    if has_sharp_receiver(survey):
-        formula = late_echo.sharp_receiver_late_echo
     for function, scattering, split in functions:
-        echo_delay = formula(
-            frequency[:, None, None, None],
+        echo_delay = late_echo_delay(
+            survey,
+            frequency,
             depth=distance,
-            scattering=scattering,
+            geometry=geometry,
+            water=water,
             phase_function=function,
+            scattering=scattering,
             split_angle=split,
-            group_index=water.group_index,
-            baseline=geometry.baseline[..., None],
-            receiver_radius=survey.instrument.receiver.radius,
-            acceptance_angle=geometry.acceptance,
-            tilt=geometry.tilt[..., None],
-            cross_tilt=geometry.cross_tilt[..., None],
-            standoff=geometry.standoff[..., None],
-            absorption=water.absorption,
-            **beam_arguments(survey, water),
         )
         mean = np.tensordot(np.atleast_2d(weight), echo_delay, axes=1)
         # Over the square of the distance it is nearly even, and so well interpolated.
@@ -245,18 +236,9 @@ def _between(
         delays.append(
             np.moveaxis(delay, -1, 0).reshape(*weight.shape[:-1], *usable.shape)
         )
-    if len(delays) == 1 and _states_asymmetry_only(survey):
-        delays.append(_LEAST_PART * delays[0])
+    if len(delays) == 1 and states_asymmetry_only(survey):
+        delays.append(LEAST_PART * delays[0])
     return np.min(delays, axis=0), np.max(delays, axis=0)
-
-
-def _states_asymmetry_only(survey: Survey) -> bool:
-    """Return whether the survey states the whole phase function by its mean cosine."""
-    function = getattr(survey.water, "phase_function", None)
-    return (
-        getattr(survey.water, "asymmetry", None) is not None
-        or getattr(function, "kind", "") == "henyey-greenstein"
-    )
 
 
 def _spread(low: float, high: float) -> Floats:
@@ -274,11 +256,6 @@ def _phase_functions(
         return ((_function(_ASYMMETRIES[0]), 0.0, right),)
     from_survey = water.phase_function
     if from_survey is not None:
-        if from_survey.asymmetry < _LEAST_ASYMMETRY:
-            raise SurveyError(
-                f"the asymmetry of the water, {from_survey.asymmetry:g}, is below "
-                f"{_LEAST_ASYMMETRY:g}, where small angles do not describe the light"
-            )
         return ((from_survey, water.scattering, right),)
     usual = tuple((_function(g), water.scattering, right) for g in _ASYMMETRIES)
     moment, split = water.second_moment, water.split_angle
@@ -303,4 +280,4 @@ def _asymmetry(moment: float, split_angle: float) -> float | None:
         asymmetry = asymmetry_of(moment, split=split_angle)
     except SurveyError:
         return None
-    return asymmetry if _LEAST_ASYMMETRY <= asymmetry <= _LARGEST_ASYMMETRY else None
+    return asymmetry if LEAST_ASYMMETRY <= asymmetry <= _LARGEST_ASYMMETRY else None

@@ -8,18 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.errors import SurveyError
-from amulor.optics import late_echo, ranging
+from amulor.optics import ranging
 from amulor.rejection.observation import Observation
 from amulor.survey import water_properties
-from amulor.survey.view import beam_arguments, has_sharp_receiver, view
+from amulor.survey.late_light import (
+    DISPERSION_UNCERTAINTY,
+    LEAST_PART,
+    late_echo_delay,
+    states_asymmetry_only,
+)
+from amulor.survey.view import view
 
 Floats = NDArray[np.float64]
 
-#: Relative standard uncertainty of how the delay falls with the frequency [1].
-_UNCERTAINTY = 0.3
-#: Natural waters of an asymmetry are between half as late as, and as late as, the
-#: Henyey-Greenstein function: factor and its relative standard uncertainty [1].
-_NATURAL, _OF_NATURAL = 0.75, 0.25 / 0.75 / 3**0.5
+#: Natural waters of an asymmetry are late by a part of the Henyey-Greenstein function:
+#: mean of a rectangular distribution, and its relative standard uncertainty [1].
+_NATURAL = (1 + LEAST_PART) / 2
+_OF_NATURAL = (1 - LEAST_PART) / 2 / _NATURAL / 3**0.5
 
 
 def late_phase(scan: Observation, path: Floats) -> tuple[Floats, Floats] | None:
@@ -42,34 +47,23 @@ def late_phase(scan: Observation, path: Floats) -> tuple[Floats, Floats] | None:
             np.median(part) for part in (scan.azimuth, scan.elevation)
         )
         geometry = view(survey, np.array([azimuth]), np.array([elevation]))
-        formula = late_echo.late_echo
-        if has_sharp_receiver(survey):
-            formula = late_echo.sharp_receiver_late_echo
         index = water.group_index
         middle = float(np.median(path[settled]))
-        delay = formula(
+        delay = late_echo_delay(
+            survey,
             scan.frequency,
-            depth=middle / (2 * index),
-            scattering=water.scattering,
+            depth=np.array([middle / (2 * index)]),
+            geometry=geometry,
+            water=water,
             phase_function=function,
-            split_angle=math.pi / 2,
-            group_index=index,
-            baseline=geometry.baseline,
-            receiver_radius=survey.instrument.receiver.radius,
-            acceptance_angle=geometry.acceptance,
-            tilt=geometry.tilt,
-            cross_tilt=geometry.cross_tilt,
-            standoff=geometry.standoff,
-            absorption=water.absorption,
-            **beam_arguments(survey, water),
         )
     except SurveyError:
         return None
-    relative = _UNCERTAINTY
-    if getattr(survey.water, "asymmetry", None) is not None:
+    relative = DISPERSION_UNCERTAINTY
+    if states_asymmetry_only(survey):
         delay, relative = _NATURAL * delay, math.hypot(relative, _OF_NATURAL)
     # The delay grows with the square of the distance.
-    late = delay.reshape(-1, 1, 1) * (path / middle) ** 2
+    late = delay * (path / middle) ** 2
     slope = ranging.phase_per_range(scan.frequency[:, None, None], group_index=index)
     weight = slope**2 / np.sum(slope**2)
     apart = late - np.sum(weight * late, axis=0)
