@@ -33,6 +33,10 @@ FUNCTIONS = {
     "henyey-greenstein": henyey_greenstein_function(asymmetry=0.95),
     "fournier-forand": fournier_forand(relative_index=1.1, slope=3.5835),
     "petzold": petzold("HAOCE 11"),
+    "petzold harbor": petzold("NUC 2040"),
+    # The constant of the formula was fitted without these two.
+    "henyey-greenstein 0.90": henyey_greenstein_function(asymmetry=0.9),
+    "henyey-greenstein 0.99": henyey_greenstein_function(asymmetry=0.99),
 }
 #: Field of view [rad], distance from the laser [m], and whether edges are sharp.
 RECEIVERS = {
@@ -107,7 +111,7 @@ def main() -> None:
             }
     else:
         file.write_text(",".join(COLUMNS) + "\n")
-    for lengths in (6, 3, 1, 5):
+    for lengths in (6, 3, 1, 5, 7, 9, 12):
         for function in FUNCTIONS:
             for receiver in RECEIVERS:
                 if (function, receiver, lengths) in done:

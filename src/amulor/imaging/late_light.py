@@ -30,9 +30,6 @@ Floats = NDArray[np.float64]
 
 #: Directions along each side of the scan, and distances, that are worked out.
 _DIRECTIONS, _DISTANCES = 5, 16
-#: Attenuation lengths from which on the uncertainty of the formula grows in proportion:
-#: it is 8 % too large at seven lengths of harbor water, and 10 % at nine [1].
-_LENGTHS = 5.0
 #: Asymmetries of the Henyey-Greenstein functions that are as late as those waters [1].
 _ASYMMETRIES = (0.90, 0.98)
 #: Above this asymmetry no Henyey-Greenstein function is taken [1].
@@ -99,10 +96,7 @@ def late_light(
     middle = np.where(usable, (lowest + highest) / 2, 0.0)
     calibration = survey.calibration
     calibrated = None if calibration is None else calibration.scattering_uncertainty
-    water = water_properties(survey)
-    lengths = water.attenuation * np.where(usable, slant_range, 0.0)
-    of_formula = late_echo.RELATIVE_UNCERTAINTY * np.maximum(lengths / _LENGTHS, 1.0)
-    relative = np.hypot(of_formula, calibrated or 0.0)
+    relative = math.hypot(late_echo.RELATIVE_UNCERTAINTY, calibrated or 0.0)
     spread = np.where(usable, highest - lowest, 0.0) / math.sqrt(12)
     light = LateLight(
         late=middle,

@@ -47,6 +47,9 @@ _SMALLEST, _NEAREST = 0.05, 2.0
 #: Least angle at which the plane of small angles is corrected, widest panel, and the
 #: angle to the axis from which light is lost [rad].
 _STRAIGHT, _PANEL, _GRAZING = 1e-5, 0.03, 1.5
+#: Excess of the series over photons, relative to the square root of scattering lengths
+#: times phase: fit to `benchmarks/late_light.csv` [1].
+_EXCESS = 0.045
 
 
 def late_echo(
@@ -142,10 +145,13 @@ def late_echo(
     receiver sees all of a plane, the delay at low frequency is
     :math:`b_f \langle\theta^2\rangle z^2 / 4` for small angles.
 
-    Against photon transport (Petzold, Fournier-Forand and Henyey-Greenstein 0.95; 1 to
-    6 attenuation lengths; fields of view of 20 and 80 mrad) the relative difference is
-    at most 0.05 up to 200 MHz and 0.07 at 500 MHz. At 10 attenuation lengths it is 0.04
-    to 0.09. Where the series does not hold, the delay is that of half the frequency.
+    The series is up to 12 % too large, since it ends after three scatterings and paths
+    are of second order in their angles. The delay L of the series is therefore divided
+    by :math:`1 + 0.045 \sqrt{b z k L}`, with the wavenumber k of the modulation. The
+    constant is fitted to photon transport. With it, the relative difference is at most
+    0.04 (Petzold, Fournier-Forand, Henyey-Greenstein 0.90 to 0.99; 1 to 12 attenuation
+    lengths; 50 to 500 MHz; fields of view of 20 and 80 mrad). Where the series does not
+    hold, the delay is that of half the frequency.
     Light scattered repeatedly between water and surface is neglected: at reflectance 1
     it adds 0.08 to 0.4 of the delay at 1.6 m. Valid for surfaces that face the
     instrument within about half a radian.
@@ -366,6 +372,8 @@ def _late(
     (far,) = np.nonzero(slow * wavenumber > np.pi)
     slow[far] = turns(np.full(far.size, _SLOW), far) / _SLOW
     turn = unwrapped(wavenumber, everywhere, slow)
+    scattered = flat["scattering"] * flat["depth"]
+    turn = turn / (1 + _EXCESS * np.sqrt(scattered * np.maximum(turn, 0.0) / 2))
     return np.asarray((turn / wavenumber / 2).reshape(shape))
 
 

@@ -350,7 +350,7 @@ def test_scattered_photons_of_three_attenuation_lengths_arrive_as_late():
 
 @pytest.mark.study
 @pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("lengths", [1, 3, 6])
+@pytest.mark.parametrize("lengths", [1, 3, 6, 9])
 @pytest.mark.parametrize(
     "receiver",
     [
@@ -360,7 +360,7 @@ def test_scattered_photons_of_three_attenuation_lengths_arrive_as_late():
         {"acceptance_angle": 0.08, "aside": 0.2, "sharp": True},
     ],
 )
-def test_delay_agrees_with_photons_up_to_six_attenuation_lengths(
+def test_delay_agrees_with_photons_up_to_nine_attenuation_lengths(
     name, lengths, receiver
 ):
     compare(name, lengths, photons=200_000, rtol=0.05, **receiver)
