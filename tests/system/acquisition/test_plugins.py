@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 import tomllib
 from pathlib import Path
 
@@ -268,7 +269,8 @@ def test_a_laser_driver_is_watched_and_read_back() -> None:
     link = Script(**{"INP:ILOCK?": "1", "OUTP?": "0"})
     laser = ScpiLaser(link, page_settings().laser)
     laser.on()
-    assert link.said[-2:] == ["INP:ILOCK?", "OUTP ON"]
+    # The answer shows that the command was executed before the next sample.
+    assert link.said[-3:] == ["INP:ILOCK?", "OUTP ON", "OUTP?"]
     link.answers["INP:ILOCK?"] = "0"
     with pytest.raises(InstrumentError, match="interlock of the laser is open"):
         laser.check()
@@ -300,6 +302,7 @@ def test_a_generator_and_a_laser_driver_in_a_scan(tiny, folder) -> None:
         def answer(self, line: str) -> list[str]:
             self.lines.append(line)
             if line.startswith("OUTP O"):
+                time.sleep(0.05)  # 25 s of the scan
                 self.bench.set_laser(line.endswith("ON"))
             if line.startswith("FREQ "):
                 self.bench.set_frequency(float(line.split()[1]))

@@ -135,6 +135,8 @@ class ScpiLaser(_Scpi):
                     f"the laser at {self._link.address} has refused to be switched on: "
                     f"{answer}; see laser.scpi of the devices file"
                 )
+        # Answered after the commands were executed; light may come later.
+        self._answer(self._words.state)
 
     def readings(self) -> dict[str, float]:
         """Return diode current [A] and temperature [degC], where configured."""
