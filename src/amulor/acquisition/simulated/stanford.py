@@ -348,7 +348,7 @@ class SimulatedSr844(SimulatedStanford):
     frequencies = (25e3, 200e6)
     #: No scan and no command in progress (manual, page 4-31).
     idle_status = 0b11
-    bare = (*SimulatedStanford.bare, "PHAS?")
+    bare = (*SimulatedStanford.bare, "PHAS?", "APHS")
     outputs = (1, 2)
     #: Codes of the settings (manual, chapter 4).
     settings = {  # noqa: RUF012
@@ -367,6 +367,11 @@ class SimulatedSr844(SimulatedStanford):
         ]
         self._handlers["PHAS"] = self._set_phase
         self._handlers["PHAS?"] = lambda _: [f"{self._phase:.2f}"]
+        self._handlers["APHS"] = self._auto_phase
+        # The displays of both channels (manual, page 4-25).
+        self._handlers["OUTR?"] = lambda code: [
+            self._shown(self._values()[9 + index_of(code, 2, first=1)])
+        ]
         self._handlers["AUXI?"] = lambda code: [self._shown(self._auxiliary(code))]
 
     def _note_frequency(self, frequency: float) -> None:
@@ -378,6 +383,11 @@ class SimulatedSr844(SimulatedStanford):
         if not -360 <= float(argument) <= 360:
             raise ValueError(argument)
         self._phase = float(argument)
+        return []
+
+    def _auto_phase(self, _: str) -> list[str]:
+        turned = self._phase + self._values()[5]
+        self._phase = (turned + 180) % 360 - 180
         return []
 
     def _auxiliary(self, code: str) -> float:

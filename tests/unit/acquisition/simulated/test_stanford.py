@@ -44,6 +44,34 @@ def test_the_gate_of_an_sr844_is_its_output_one(bench) -> None:
 
 
 @pytest.mark.parametrize(
+    ("model", "gate", "angle"),
+    [(SimulatedSr844, "AUXO 1", "OUTP? 5"), (SimulatedSr865a, "AUXV 0", "OUTP? 3")],
+)
+def test_auto_phase_puts_all_of_the_signal_into_x(
+    bench, clock, model, gate, angle
+) -> None:
+    device = model(bench)
+    device.answer(f"{gate},5.0")
+    clock.sleep(10.0)
+    (before,) = map(float, device.answer(angle))
+    assert abs(before) > 30
+    device.answer("APHS")
+    (after,) = map(float, device.answer(angle))
+    assert after == pytest.approx(0, abs=5)
+    (phase,) = map(float, device.answer("PHAS?"))
+    assert phase == pytest.approx(before, abs=5)
+
+
+def test_the_displays_of_an_sr844_show_x_and_y(bench, clock) -> None:
+    device = SimulatedSr844(bench)
+    device.answer("AUXO 1,5.0")
+    clock.sleep(10.0)
+    shown = [float(device.answer(f"OUTR? {channel}")[0]) for channel in (1, 2)]
+    outputs = [float(device.answer(f"OUTP? {code}")[0]) for code in (1, 2)]
+    assert shown == pytest.approx(outputs, rel=0.05)
+
+
+@pytest.mark.parametrize(
     ("model", "low", "high"),
     # SR844: 25 kHz to 200 MHz; SR865A: 1 mHz to 4 MHz.
     [(SimulatedSr844, 25e3, 200e6), (SimulatedSr865a, 1e-3, 4e6)],
@@ -81,6 +109,7 @@ def test_a_frequency_beyond_the_manual_is_an_error(
             ]
         ],
         (SimulatedSr844, "PHAS? 5", "32"),
+        (SimulatedSr844, "APHS 5", "32"),
         *[
             (SimulatedSr865a, f"{word} 5", "32")
             for word in (
@@ -89,6 +118,7 @@ def test_a_frequency_beyond_the_manual_is_an_error(
             )
         ],
         *[(SimulatedSr844, f"OUTP? {code}", "16") for code in (0, 6, 10, -1)],
+        *[(SimulatedSr844, f"OUTR? {code}", "16") for code in (0, 3)],
         *[
             (SimulatedSr865a, line, "16")
             for line in (
@@ -213,6 +243,7 @@ def test_octets_that_are_no_ascii_do_not_end_a_link(bench) -> None:
             )
         ],
         (SimulatedSr844, "AUXO 1,0.5"),
+        (SimulatedSr844, "APHS"),
         *[
             (SimulatedSr865a, line)
             for line in (
