@@ -21,7 +21,7 @@ Up = Literal["-y", "y", "z"]
 
 #: Point values that the page has labels for, and their names in files.
 KNOWN = {
-    "uncertainty": ("slant_range_uncertainty", "sigma_range"),
+    "uncertainty": ("slant_range_uncertainty", "sigma_range", "uncertainty"),
     "common": (
         "slant_range_common_uncertainty",
         "common_uncertainty",

@@ -187,6 +187,8 @@ def test_a_count_beyond_any_file_gives_one_line(path, count):
     [
         (("amplitude", "intensity"), {"amplitude": 0.0}),
         (("scalar_Intensity",), {"intensity": 0.0}),
+        (("uncertainty",), {"uncertainty": 0.0}),
+        (("uncertainty", "sigma_range"), {"uncertainty": 0.0, "sigma_range": 1.0}),
         (("i", "intensity"), {"intensity": 0.0, "intensity 2": 1.0}),
         (("a/b", "height"), {"a_b": 0.0, "height 2": 1.0}),
         (tuple(f"c{n}" for n in range(8)), {f"c{n}": float(n) for n in range(8)}),

@@ -245,7 +245,7 @@ def closer(shown: space.Space, low: list[float], high: list[float]) -> np.ndarra
     values = np.frombuffer(content, "<f4", offset=4)
     assert values.size == count * (3 + len(names))
     place = values[: 3 * count].reshape(-1, 3) + centre
-    column = values[3 * count :].reshape(len(names), -1)[names.index("uncertainty 2")]
+    column = values[3 * count :].reshape(len(names), -1)[names.index("uncertainty")]
     return np.column_stack([place, column])
 
 
@@ -253,6 +253,8 @@ def test_a_closer_view_gets_all_further_points_of_its_box(
     thinned_laz: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown = space.opened(tmp_path / "line.laz")
+    (entry,) = (entry for entry in shown.layers if entry["name"] == "uncertainty")
+    assert (entry["label"], entry["unit"]) == ("Uncertainty", "m")
     assert (len(shown.position), shown.total) == (600, 3000)
     assert shown.describe()["closer"]
     assert "closer view loads more" in shown.describe()["notes"][0]
