@@ -63,9 +63,10 @@ def test_every_page_stands_in_a_table_of_contents() -> None:
                         one.relative_to(DOCS).with_suffix("").as_posix()
                         for one in folder.glob(f"{found.name}.md")
                     }
-    # A list for the repository, and parts of other pages.
+    # A list for the repository, and parts of other pages, one written by each build.
     parts = {"gallery/ricci2010-discussion", "reference/presets-where"}
-    assert pages - listed == {"README"} | parts
+    made = {"trust/benchmark-tables"}
+    assert pages - listed - made == {"README"} | parts
 
 
 def test_a_link_that_leads_nowhere_is_found(tmp_path: Path) -> None:
