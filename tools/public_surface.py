@@ -126,10 +126,18 @@ def constants() -> list[str]:
             assert isinstance(node, ast.Assign | ast.AnnAssign)
             assert node.value is not None
             target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
-            text = ast.unparse(node.value)
+            text = _expression(node.value, found[0])
             if re.search(r"\b\d|\bTrue\b|\bFalse\b", text):
                 lines.append(f"{place} {ast.unparse(target)} = {_short(text)}")
     return lines
+
+
+def _expression(node: ast.expr, source: str) -> str:
+    """Return an expression in words that are the same in all versions of Python."""
+    if any(isinstance(part, ast.JoinedStr) for part in ast.walk(node)):
+        # From 3.12 on, f-strings are written with other quotes.
+        return " ".join((ast.get_source_segment(source, node) or "").split())
+    return ast.unparse(node)
 
 
 def _short(text: str) -> str:
