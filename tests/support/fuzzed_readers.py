@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import trimesh
 import xarray as xr
 from exact_scenes import plane
 from fuzzing import Reader
-from mutations import BYTES, TEXT, glb, hdf5, npy_header, npz
+from mutations import BYTES, TEXT, e57, glb, hdf5, las, npy_header, npz
 from project_files import project_text
 from shared_light import scene_light
 
@@ -403,6 +404,34 @@ def shapes(folder: Path) -> dict[str, Reader]:
         "shown": Reader(read=shown, files={**meshes, **clouds}, mutations=mutations,
                         judge=_sound_points),
     }  # fmt: skip
+
+
+def shown(folder: Path, form: str) -> Reader:
+    """Return the reader of what is drawn, for the files of one format.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where the files will be written.
+    form : str
+        How the names of its files end, such as `ply`; LAS counts as `laz`.
+
+    Returns
+    -------
+    Reader
+        Reader of meshes and clouds of the format.
+    """
+    place = folder / form
+    place.mkdir()
+    reader = shapes(place)["shown"]
+    suffixes = (".laz", ".las") if form == "laz" else (f".{form}",)
+    by_format = {"laz": las, "e57": e57}.get(form, TEXT[0])
+    files = {
+        name: content
+        for name, content in reader.files.items()
+        if name.endswith(suffixes)
+    }
+    return replace(reader, files=files, mutations=(*BYTES, *6 * (by_format,)))
 
 
 def journals(folder: Path, plate: Survey) -> Reader:

@@ -41,8 +41,8 @@ def main(name: str, seconds: str, place: str) -> None:
         reader = fuzzed_readers.journals(folder, plate)
     elif name == "survey":
         reader = fuzzed_readers.texts(folder, text)[name]
-    elif name == "shown":
-        reader = fuzzed_readers.shapes(folder)[name]
+    elif name in ("ply", "laz", "e57"):
+        reader = fuzzed_readers.shown(folder, name)
     else:
         reader = fuzzed_readers.arrays(folder, plate)[name]
     files = sorted(reader.files)
@@ -75,7 +75,8 @@ def main(name: str, seconds: str, place: str) -> None:
         return (data[:1] + changed(data[1:], seed))[:longest]
 
     options = [f"-max_total_time={seconds}", "-timeout=20", "-rss_limit_mb=2048",
-               "-max_len=1000000", f"-artifact_prefix={folder}/"]  # fmt: skip
+               "-max_len=1000000", "-print_final_stats=1",
+               f"-artifact_prefix={folder}/"]  # fmt: skip
     atheris.Setup([sys.argv[0], *options, str(corpus)], test, custom_mutator=mutated)
     atheris.Fuzz()
 

@@ -1,7 +1,8 @@
-"""Changes files in the way of their format: bytes, text, HDF5, npz, GLB."""
+"""Changes files in the way of their format: text, HDF5, npz, GLB, LAS, E57, bytes."""
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import random
@@ -265,3 +266,84 @@ def glb(content: bytes, rng: random.Random) -> bytes:
     head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text),
                        0x4E4F534A)  # fmt: skip
     return head + text + rest
+
+
+# -- of LAS and LAZ --------------------------------------------------------------------
+
+#: Places of numbers in a header: sizes, offsets, counts, formats, scales and bounds.
+_LAS = (
+    (24, "<B"), (25, "<B"), (94, "<H"), (96, "<I"), (100, "<I"), (104, "<B"),
+    (105, "<H"), (107, "<I"), (111, "<I"), (131, "<d"), (139, "<d"), (155, "<d"),
+    (163, "<d"), (179, "<d"), (187, "<d"), (227, "<Q"), (235, "<Q"), (243, "<I"),
+    (247, "<Q"),
+)  # fmt: skip
+
+
+def las(content: bytes, rng: random.Random) -> bytes:
+    """Change a number of the header, or of the beginning of a record behind it."""
+    changed = bytearray(content)
+    at, form = rng.choice(_LAS)
+    if rng.random() < 0.3 and len(content) > 400:
+        # The length of a record stands 20 bytes behind its beginning.
+        (size,) = struct.unpack_from("<H", content, 94)
+        at, form = rng.choice(((size + 20, "<H"), (size + 54, "<H"), (size + 58, "<I")))
+    if at + struct.calcsize(form) > len(changed):
+        return flip(content, rng)
+    (old,) = struct.unpack_from(form, changed, at)
+    if form == "<d":
+        new = rng.choice((*_VALUES, old * 1e9, -old))
+    else:
+        most = 256 ** struct.calcsize(form) - 1
+        new = rng.choice((0, 1, old - 1, old + 1, 2 * old, most, most // 2, most - old))
+        new = min(max(new, 0), most)
+    with contextlib.suppress(struct.error, OverflowError):
+        struct.pack_into(form, changed, at, new)
+    return bytes(changed)
+
+
+# -- of E57 ----------------------------------------------------------------------------
+
+
+def _castagnoli() -> list[int]:
+    table = []
+    for number in range(256):
+        for _ in range(8):
+            number = number >> 1 ^ (0x82F63B78 if number & 1 else 0)
+        table.append(number)
+    return table
+
+
+_CASTAGNOLI = _castagnoli()
+
+
+def _checked(page: bytes) -> bytes:
+    """Return a page with its checksum, which is CRC-32C."""
+    value = 0xFFFFFFFF
+    for byte in page:
+        value = value >> 8 ^ _CASTAGNOLI[(value ^ byte) & 0xFF]
+    return page + struct.pack(">I", value ^ 0xFFFFFFFF)
+
+
+def e57(content: bytes, rng: random.Random) -> bytes:
+    """Change the description or the points, the checksums of all pages right."""
+    try:
+        pages = [content[at : at + 1024] for at in range(0, len(content), 1024)]
+        logical = b"".join(page[:1020] for page in pages)
+        place, length = struct.unpack_from("<QQ", logical, 24)
+        begin = place // 1024 * 1020 + place % 1024
+        text = logical[begin : begin + length]
+        if rng.random() < 0.6:
+            text = rng.choice((other_number, other_number, other_word))(text, rng)
+            head = logical[:32] + struct.pack("<Q", len(text)) + logical[40:begin]
+            logical = head + text
+        else:
+            front = rng.choice((flip, scribble, number))(logical[:begin], rng)
+            logical = front[:begin] + text
+        logical += bytes(-len(logical) % 1020)
+        size = struct.pack("<Q", len(logical) // 1020 * 1024)
+        logical = logical[:16] + size + logical[24:]
+    except struct.error:  # bytes that other mutations left
+        return flip(content, rng)
+    return b"".join(
+        _checked(logical[at : at + 1020]) for at in range(0, len(logical), 1020)
+    )

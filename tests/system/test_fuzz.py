@@ -8,16 +8,19 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import fuzzed_readers
 import pytest
 from fuzzing import Reader, campaign
+from trials import keep
 
 from amulor.survey import Survey
 
@@ -26,12 +29,11 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 NAMES = (
     "survey", "table", "site", "devices", "calibration", "checks", "pose", "map",
     "project", "cube", "cube bytes", "transients", "transients bytes", "recording",
-    "target mesh", "reference mesh", "shown",
+    "target mesh", "reference mesh", "shown", "ply", "laz", "e57",
 )  # fmt: skip
 
-#: Readers of `guided_fuzzing.py`: netCDF, all meshes and clouds, histograms, TOML,
-#: journals.
-GUIDED = ("cube", "shown", "transients", "survey", "journal")
+#: Readers of `guided_fuzzing.py`: netCDF, shapes, histograms, TOML, journals.
+GUIDED = ("cube", "ply", "laz", "e57", "transients", "survey", "journal")
 SUPPORT = Path(__file__).parents[1] / "support"
 
 
@@ -51,6 +53,7 @@ def readers(folder: Path, plate_text: str) -> dict[str, Reader]:
         **fuzzed_readers.texts(folder, plate_text),
         **fuzzed_readers.arrays(folder, Survey.from_text(plate_text)),
         **fuzzed_readers.shapes(folder),
+        **{name: fuzzed_readers.shown(folder, name) for name in ("ply", "laz", "e57")},
     }
 
 
@@ -79,7 +82,14 @@ def test_many_damaged_files_are_refused_in_one_line(
     readers: dict[str, Reader], folder: Path, name: str
 ) -> None:
     many = int(os.environ.get("AMULOR_FUZZ", "10000"))
-    print(name, campaign(readers[name], folder, range(10_000, 10_000 + many)))
+    begun = time.monotonic()
+    counts = campaign(readers[name], folder, range(10_000, 10_000 + many))
+    print(name, counts)
+    keep(
+        "fuzzing", reader=name, way="by format", cases=many, refused=counts.refused,
+        tracebacks=0, hangs=0, slowest_s=counts.slowest,
+        highest_mb=counts.memory / 1e6, minutes=(time.monotonic() - begun) / 60,
+    )  # fmt: skip
 
 
 @pytest.mark.study
@@ -94,5 +104,11 @@ def test_files_guided_by_coverage_are_refused_in_one_line(
     seconds = os.environ.get("AMULOR_GUIDED_SECONDS", "600")
     words = [sys.executable, str(SUPPORT / "guided_fuzzing.py"), name, seconds]
     done = subprocess.run([*words, str(place)], capture_output=True, text=True)
-    print(name, done.stderr.splitlines()[-1])
     assert done.returncode == 0, done.stderr[-3000:]
+    said = dict(re.findall(r"stat::(\w+): +(\d+)", done.stderr))
+    keep(
+        "fuzzing", reader=name, way="guided by coverage",
+        cases=int(said["number_of_executed_units"]), tracebacks=0, hangs=0,
+        slowest_s=float(said["slowest_unit_time_sec"]), refused="",
+        highest_mb=int(said["peak_rss_mb"]), minutes=float(seconds) / 60,
+    )  # fmt: skip

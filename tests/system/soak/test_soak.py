@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trials import keep
 
 from amulor import acquisition, imaging, rejection
 from amulor.acquisition import plan
@@ -131,7 +132,9 @@ def served(folder: Path) -> Iterator[tuple[str, int]]:
         process.stdout.close()
 
 
-def beside(folder: Path, place: Path, end: threading.Event, codes: list[str]) -> None:
+def beside(
+    folder: Path, place: Path, end: threading.Event, codes: list[str], pause: float
+) -> None:
     """Make cube, target signal, range image and report, again and again."""
     cube, target, image = (place / f"{name}.nc" for name in ("cube", "target", "image"))
     words = [
@@ -151,7 +154,7 @@ def beside(folder: Path, place: Path, end: threading.Event, codes: list[str]) ->
                 assert done.returncode == 1, done.stderr
                 assert done.stderr.startswith("amulor: "), done.stderr
                 break
-        end.wait(1)
+        end.wait(pause)
 
 
 def scan_of(plate: Survey, hours: float, rows: int, columns: int) -> Survey:
@@ -220,7 +223,7 @@ def soak(
                         ]
                         worker = threading.Thread(
                             target=beside,
-                            args=(folder, place, over, codes),
+                            args=(folder, place, over, codes, max(wall / 360, 1.0)),
                             daemon=True,
                         )
                         worker.start()
@@ -252,7 +255,7 @@ def soak(
     return {
         "seen": seen, "codes": codes, "ends": ends, "pages": open_pages,
         "folder": folder, "acknowledged": acknowledged, "planned": len(keys),
-        "last_files": seen.files[-1],
+        "last_files": seen.files[-1], "wall": wall,
     }  # fmt: skip
 
 
@@ -263,12 +266,30 @@ def check(found: dict[str, Any], *, hours: float) -> str:
         line.split("\t") for line in found["acknowledged"].read_text().splitlines()
     ]
     told = [ast.literal_eval(key) for key, _ in lines]
-    assert len(set(told)) == len(told), "a sample was taken twice"
     with Journal.read(found["folder"]) as journal:
         taken = journal.keys()
         elapsed = journal.last_elapsed()
         cube = acquisition.build(journal)
     kept = {tuple(key) for key in taken}
+    third = len(seen.memory) // 3
+    second, last = seen.memory[third : 2 * third], seen.memory[2 * third :]
+    gaps = np.array([float(gap) for _, gap in lines])
+    pages: list[Page] = found["pages"]
+    with_report = found["codes"].count("report 0")
+    keep(
+        "soak", minutes=found["wall"] / 60, simulated_h=elapsed / 3600,
+        acknowledged=len(told), lost=len(set(told) - kept),
+        twice=len(told) - len(set(told)), runs=len(found["ends"]),
+        killed=found["ends"].count("killed"),
+        pages=sum(one.connections for one in pages),
+        pictures=sum(one.pictures for one in pages), reports=with_report,
+        memory_second_third_mb=float(np.median(second)),
+        memory_last_third_mb=float(np.median(last)), files_lowest=min(seen.files),
+        files_highest=max(seen.files), files_at_end=found["last_files"],
+        log_highest_mb=max(seen.log) / 1e6,
+        gap_999_s=float(np.quantile(gaps, 0.999)),
+    )  # fmt: skip
+    assert len(set(told)) == len(told), "a sample was taken twice"
     assert set(told) <= kept, "an acknowledged sample is missing"
     assert len(kept) >= found["planned"]
     assert elapsed > 0.9 * hours * 3600
@@ -279,8 +300,6 @@ def check(found: dict[str, Any], *, hours: float) -> str:
     middle = float(np.nanmedian(image["slant_range"].values))
     assert middle == pytest.approx(1.5, abs=0.02)
     # Memory: the last third is what the second one was.
-    third = len(seen.memory) // 3
-    second, last = seen.memory[third : 2 * third], seen.memory[2 * third :]
     growth = float(np.median(last) - np.median(second))
     assert growth < 0.05 * np.median(second) + 4, (np.median(second), np.median(last))
     # Files: with all pages gone no more than before most of them came.
@@ -288,11 +307,8 @@ def check(found: dict[str, Any], *, hours: float) -> str:
     assert max(seen.files[2 * third :]) <= max(seen.files[: 2 * third]) + 2
     # The log was emptied again and again: no reader held on to it.
     assert max(seen.log) < 8_000_000
-    gaps = np.array([float(gap) for _, gap in lines])
-    pages: list[Page] = found["pages"]
     assert [one.problems for one in pages] == [[] for _ in pages]
     assert all(one.pictures > 0 and one.rows > 0 for one in pages[:1])
-    with_report = found["codes"].count("report 0")
     assert with_report > 0
     assert "killed" in found["ends"]
     return (
@@ -318,7 +334,7 @@ def test_half_an_hour_with_faults_and_pages_loses_nothing(
 
 
 @pytest.mark.study
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(7200)
 def test_eight_hours_with_faults_and_pages_lose_nothing(
     plate: Survey, tmp_path: Path
 ) -> None:

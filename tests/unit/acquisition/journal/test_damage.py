@@ -15,8 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzzing import MOST_MEMORY
 from journal_damage import copied, damage
 from shared_light import scene_light
+from trials import keep
 
 from amulor import acquisition
 from amulor.acquisition.journal import file as journal_file
@@ -240,14 +242,17 @@ def _values(cube) -> dict[str, np.ndarray]:
     return {name: cube[name].values for name in OWN}
 
 
-def campaign(whole: Path, folder: Path, seeds: range) -> dict[str, int]:
-    """Damage a journal many times; return how often it ended in which way."""
+def campaign(whole: Path, folder: Path, seeds: range) -> dict[str, float]:
+    """Damage a journal many times; return how often it ended in which way.
+
+    Also the processor time of the slowest [s], and the memory that was added [bytes].
+    """
     with Journal.read(whole) as journal:
         reference = _values(acquisition.build(journal))
         dark = dict(journal.samples("dark"))
     counts = {"sound": 0, "named": 0}
     refusals: list[tuple[int, str, str]] = []
-    slowest = 0.0
+    slowest, before = 0.0, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for seed in seeds:
         place = copied(whole, folder / "scan")
         done = damage(place, seed)
@@ -276,7 +281,9 @@ def campaign(whole: Path, folder: Path, seeds: range) -> dict[str, int]:
     assert not [one for one in refusals if "\n" in one[2]]
     # No hang: of the processor, since others may use it as well.
     assert slowest < 5.0
-    return {**counts, "refused": len(refusals)}
+    grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    assert grown < MOST_MEMORY
+    return {**counts, "refused": len(refusals), "slowest": slowest, "memory": grown}
 
 
 def test_damage_is_named_or_refused_in_one_line(whole, folder) -> None:
@@ -288,7 +295,14 @@ def test_damage_is_named_or_refused_in_one_line(whole, folder) -> None:
 @pytest.mark.study
 def test_many_damaged_journals_change_no_number(whole, folder) -> None:
     many = int(os.environ.get("AMULOR_FUZZ", "10000"))
-    print(campaign(whole, folder, range(10_000, 10_000 + many)))
+    begun = time.monotonic()
+    counts = campaign(whole, folder, range(10_000, 10_000 + many))
+    print(counts)
+    keep(
+        "fuzzing", reader="journal", way="by format", cases=many,
+        refused=counts["refused"], tracebacks=0, hangs=0, slowest_s=counts["slowest"],
+        highest_mb=counts["memory"] / 1e6, minutes=(time.monotonic() - begun) / 60,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
