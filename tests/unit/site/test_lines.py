@@ -123,6 +123,19 @@ def test_a_drift_has_the_stated_change_along_the_line(drawn) -> None:
     assert 0.5 * 2e-3 * away < largest < 2 * 2e-3 * away * np.sqrt(2)
 
 
+def test_the_sum_of_the_shifts_is_that_of_each_error(drawn) -> None:
+    site, _ = drawn
+    motion = motion_of(site, site.scan[0], range_image_of(site.scan[0]))
+    rng = np.random.default_rng(5)
+    pixel = rng.choice(motion.course.size, 30, replace=False)
+    points, factors = rng.normal(0, 2, (30, 3)), rng.normal(size=len(motion.keys))
+    np.testing.assert_allclose(
+        motion.shift(pixel, points, factors),
+        np.tensordot(factors, motion.shifts(pixel, points), axes=1),
+        rtol=1e-9, atol=1e-15,
+    )  # fmt: skip
+
+
 def test_lines_and_a_tripod_scan_are_adjusted_together(drawn, adjusted) -> None:
     result, surfaces, cloud = adjusted
     assert result.settled

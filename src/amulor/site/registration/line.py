@@ -96,25 +96,58 @@ class Motion:
         poses = self.poses.part(pixel)
         place = self.start.place(points)
         share = self.course.ravel()[pixel]
-        parts = []
-        if len(self.mounting):
+        rotation = self.start.rotation
+        result = np.empty((len(self.keys), len(pixel), 3))
+        fixed = len(self.mounting)
+        if fixed:
             derivatives = poses.derivatives(place)
-            parts.append(np.einsum("ek,kni->eni", self.mounting, derivatives))
-        if self.bend > 0:
-            end = self.bend * (2 * share - 1)
-            parts.append(end[None, :, None] * np.eye(3)[:, None, :])
+            result[:fixed] = np.tensordot(self.mounting, derivatives, axes=1) @ rotation
+        axes = rotation[:, None, :]
         turns = -cross_matrix(place - poses.vehicle.position)
-        axes = np.eye(3)[:, None, :]
-        for size, count, by_axis in (
-            (self.drift[0], self.forms[0], axes),
-            (self.drift[1], self.forms[1], np.moveaxis(turns, -1, 0)),
+        for first, forms, by_axis in zip(
+            self._firsts,
+            self._along(share),
+            (axes, axes, np.moveaxis(turns, -1, 0) @ rotation),
+            strict=True,
         ):
-            for k in range(1, count + 1):
-                form = size * np.sqrt(2) / (k * np.pi) * np.cos(k * np.pi * share)
-                parts.append(form[None, :, None] * by_axis)
-        if not parts:
-            return np.zeros((0, len(pixel), 3))
-        return np.asarray(np.concatenate(parts) @ self.start.rotation)
+            for k, form in enumerate(forms):
+                at = first + 3 * k
+                np.multiply(form[None, :, None], by_axis, out=result[at : at + 3])
+        return result
+
+    def shift(self, pixel: Numbers, points: Floats, factors: Floats) -> Floats:
+        """Return the sum of `shifts` times the factors of the errors, (n, 3) [m]."""
+        poses = self.poses.part(pixel)
+        place = self.start.place(points)
+        fixed = len(self.mounting)
+        total = np.zeros((len(pixel), 3))
+        if fixed:
+            change = factors[:fixed] @ self.mounting
+            total += np.tensordot(change, poses.derivatives(place), axes=1)
+        vectors = []
+        forms = self._along(self.course.ravel()[pixel])
+        for first, values in zip(self._firsts, forms, strict=True):
+            mine = factors[first : first + 3 * len(values)]
+            vectors.append(values.T @ mine.reshape(-1, 3))
+        total += vectors[0] + vectors[1]
+        total += np.cross(vectors[2], place - poses.vehicle.position)
+        return np.asarray(total @ self.start.rotation)
+
+    @property
+    def _firsts(self) -> tuple[int, int, int]:
+        """Numbers of the first errors: turn of the track, both random walks."""
+        turn = len(self.mounting)
+        position = turn + 3 * (self.bend > 0)
+        return turn, position, position + 3 * self.forms[0]
+
+    def _along(self, share: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the forms of the errors along the line, in the order of `_firsts`."""
+        turn = self.bend * (2 * share - 1)
+        walks = []
+        for size, count in zip(self.drift, self.forms, strict=True):
+            k = np.pi * np.arange(1, count + 1)[:, None]
+            walks.append(size * np.sqrt(2) / k * np.cos(k * share))
+        return turn[None] if self.bend > 0 else turn[None][:0], walks[0], walks[1]
 
 
 def motion_of(site: Site, scan: SiteScan, image: xr.Dataset) -> Motion | None:

@@ -421,7 +421,7 @@ def _moved_by(
     estimates = np.array([errors.get(key, 0.0) for key in scan.motion.keys])
     if not estimates.any():
         return np.zeros(points.shape)
-    return np.asarray(np.tensordot(estimates, scan.moved(pixel, points), axes=1))
+    return scan.motion.shift(pixel, points, estimates)
 
 
 def _tilt(target: ScanSurface, at: OnGrid, normal: Floats) -> Floats:

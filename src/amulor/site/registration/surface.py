@@ -283,8 +283,7 @@ def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
         pixel = np.flatnonzero(surface.usable)
         by_poses = np.array([errors.get(key, 0.0) for key in surface.motion.keys])
         flat = points.reshape(-1, 3)
-        shift = np.tensordot(by_poses, surface.moved(pixel, flat[pixel]), axes=1)
-        flat[pixel] -= shift
+        flat[pixel] -= surface.motion.shift(pixel, flat[pixel], by_poses)
     return points
 
 
