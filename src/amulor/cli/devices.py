@@ -23,9 +23,13 @@ def simulate(
     host: str = "127.0.0.1",
     lock_in_port: int = 0,
     stage_port: int = 0,
+    navigation_port: int = 0,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Serve simulated devices on the network until Ctrl-C.
+
+    A survey with a section [platform] also has a navigation, which sends sentences of
+    NMEA 0183. The course of the vehicle begins when a scan connects to it.
 
     Parameters
     ----------
@@ -50,6 +54,8 @@ def simulate(
         Port of the lock-in amplifier; by default any free port.
     stage_port
         Port of the stages; by default any free port.
+    navigation_port
+        Port of the navigation; by default any free port.
     overwrite
         Replace an existing file.
     """
@@ -80,7 +86,7 @@ def simulate(
             "overload, saturation, unlock, lost-link, timeout, stuck, darkness, "
             "interlock"
         ) from None
-    ports = (lock_in_port, stage_port)
+    ports = (lock_in_port, stage_port, navigation_port)
     try:
         with (
             refusing(),
@@ -98,6 +104,9 @@ def simulate(
                 temporary.write_text(rehearsal.settings.to_toml(), encoding="utf-8")
             print(f"{output}: {lock_in} at {rehearsal.settings.lock_in.address}")
             print(f"{output}: stages at {rehearsal.settings.scanner.address}")
+            navigation = rehearsal.settings.navigation
+            if navigation is not None:
+                print(f"{output}: navigation at {navigation.address}")
             print("Ctrl-C ends it.")
             sys.stdout.flush()
             _wait_for_the_end()

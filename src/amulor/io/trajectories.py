@@ -226,7 +226,7 @@ def trajectory_from_table(
         flat = [numbers(columns.east), numbers(columns.north)]
         position = np.column_stack([*flat, up]) - offset
         if constants.heading_from == "true":
-            convergence = _convergence(position[:, :2] + offset[:2], constants.crs)
+            _, _, convergence = geographic(position[:, :2] + offset[:2], constants.crs)
     if constants.heading_from == "grid":
         convergence = np.zeros(count)
     unit = ANGLES[constants.angle_unit]
@@ -416,12 +416,15 @@ def projected(
     return np.column_stack([east, north]), np.radians(convergence)
 
 
-def _convergence(position: Floats, crs: str) -> Floats:
-    """Return the meridian convergence at projected positions [rad]."""
+def geographic(position: Floats, crs: str) -> tuple[Floats, Floats, Floats]:
+    """Return longitudes, latitudes [deg] and meridian convergence [rad]."""
     transformer, projection = _projection(crs)
-    longitude, latitude = transformer.transform(*position.T, direction="INVERSE")
+    longitude, latitude = transformer.transform(
+        position[:, 0], position[:, 1], direction="INVERSE"
+    )
     factors = projection.get_factors(longitude, latitude)
-    return np.asarray(np.radians(factors.meridian_convergence))
+    convergence = np.asarray(np.radians(factors.meridian_convergence))
+    return np.asarray(longitude), np.asarray(latitude), convergence
 
 
 def _projection(crs: str) -> tuple[Any, Any]:

@@ -61,7 +61,7 @@ _NEXT, _PART = 3e-3, 1 / 200
 #: Rows of directions at a time whose light is remembered.
 _MOST_ROWS = 64
 #: Longest scan over the planned duration [1], and an addition [s].
-_LONGER, _LATER = 4.0, 60.0
+_LONGER, _LATER = 4.0, 600.0
 
 
 class MovingLight:

@@ -6,6 +6,7 @@ import socket
 import sqlite3
 import threading
 import time
+from datetime import datetime
 
 import moving_pass
 import numpy as np
@@ -345,6 +346,22 @@ def test_a_lost_link_is_opened_again_and_no_sentence_is_joined(receiver, monkeyp
     assert lines == [first[0], *second]
 
 
+def test_sentences_before_the_scan_do_not_arrive_late(receiver):
+    """Between connection and begin, other devices are opened and settle."""
+    first, second = _epoch(1), _epoch(2)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        source = receiver(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        link, _ = server.accept()
+        link.sendall("".join(first).encode())
+        while len(source._arrived) < 2:
+            time.sleep(0.005)
+        threading.Timer(0.05, link.sendall, ["".join(second).encode()]).start()
+        source.begin()
+        lines = [line + "\r\n" for _, line in _received(source, 2)]
+        link.close()
+    assert lines == second
+
+
 def test_a_silent_source_stops_the_scan_before_it_begins(receiver):
     with socket.create_server(("127.0.0.1", 0)) as server:
         source = receiver(f"tcp://127.0.0.1:{server.getsockname()[1]}", timeout="50 ms")
@@ -364,10 +381,50 @@ def test_an_arrival_that_is_no_number_is_refused(folder):
         assert journal.messages() == []
 
 
-def test_devices_on_the_network_do_not_move(moving):
+def _started(folder):
+    """Return the Unix time of the start of a scan [s]."""
+    with Journal.read(folder) as journal:
+        return datetime.fromisoformat(journal.segments()[0]["started"]).timestamp()
+
+
+@pytest.mark.slow
+def test_a_scan_from_a_vehicle_over_the_network(moving, folder):
+    """A vehicle that drifts over a steep plate: all points must lie on the plate."""
+    pytest.importorskip("pynmeagps")
+    survey = moving.with_(
+        {
+            "instrument.modulation_frequencies": [39e6],
+            "instrument.lock_in.time_constant": 3e-3,
+            "platform.course": {"kind": "hover", "start": [0.0, 0.0, -8.0]},
+            "platform.disturbance": {"current": [0.0, 0.03, 0.0]},
+            "scan.rows": 2,
+        }
+    )
+    few = Settings.model_validate({"procedure": {"dark_readings": 2}})
+    with rehearse(survey, few, scene=light) as rehearsal:
+        acquisition.acquire(survey, folder, settings=rehearsal.settings)
+    cube = io.read_cube(acquisition.recover(folder))
+    track = read_trajectory(trajectory_path(folder / "cube.nc"))
+    assert track.crs == rehearsal.settings.navigation.crs == "EPSG:32632"
+    image = imaging.range_image(rejection.open_water(cube), interval=(1.0, 3.0))
+    cloud = imaging.point_cloud(
+        image, frame=imaging.moving_frame(image, trajectory=track)
+    )
+    points = np.stack([cloud[axis].values for axis in "xyz"], axis=-1)
+    assert len(points) == 8
+    # It drifts by 0.03 m/s during 8 pixels of more than 40 ms.
+    moved = track.at(cube["reading_time"].values.ravel()[[0, -1]] + _started(folder))
+    assert np.ptp(moved.position[:, 1]) > 8e-3
+    scene = moving_pass.attitude(0.0, -np.pi / 2, 0.0)
+    normal = scene @ moving_pass.plane_of(PLATE["position"], PLATE["angles"])[:, 2]
+    center = np.array([0.0, 0.0, -8.0]) + scene @ PLATE["position"]
+    assert np.abs((points - center) @ normal).max() < 1.5e-3
+
+
+def test_a_vehicle_on_the_network_has_the_time_of_day(moving):
     with (
-        pytest.raises(SurveyError, match="devices on the network stand still"),
-        rehearse(moving, scene=light),
+        pytest.raises(SurveyError, match="run at speed 1, got 10"),
+        rehearse(moving, scene=light, speed=10),
     ):
         pass
 

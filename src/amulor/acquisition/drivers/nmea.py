@@ -68,15 +68,17 @@ class NmeaNavigation:
             )
         self._arrived: deque[tuple[float, str]] = deque()
         self._first, self._closed = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._listen, daemon=True)
+        # From now on, so that the link has no old sentences when the scan begins.
+        threading.Thread(target=self._listen, daemon=True).start()
 
     def identity(self) -> str:
         """Return the format; sentences do not name their instrument."""
         return "NMEA 0183"
 
     def begin(self) -> None:
-        """Start to receive, and wait for the first sentence."""
-        self._thread.start()
+        """Discard earlier sentences, and wait for the next one."""
+        self._arrived.clear()
+        self._first.clear()
         if not self._first.wait(self._patience):
             raise InstrumentError(
                 f"navigation: no sentence from {self._address} within "

@@ -25,7 +25,8 @@ class Speaker(Protocol):
 
         A device with an attribute `at_once` (bytes) receives each of these characters
         without the end of a line. A method `cutter` returns an object like `_Lines`,
-        which splits the bytes of one link.
+        which splits the bytes of one link. A method `stream` yields texts that are sent
+        without a request; the device then receives nothing.
         """
 
 
@@ -86,6 +87,11 @@ class _Conversation(socketserver.StreamRequestHandler):
     def handle(self) -> None:
         """Answer commands until the link ends."""
         speaker = self.server.speaker
+        if stream := getattr(speaker, "stream", None):
+            with contextlib.suppress(OSError):
+                for text in stream():
+                    self.connection.sendall(text.encode("ascii"))
+            return
         cutter = getattr(speaker, "cutter", None)
         lines: Any = cutter() if cutter else _Lines(getattr(speaker, "at_once", b""))
         with contextlib.suppress(LinkLostError, OSError):

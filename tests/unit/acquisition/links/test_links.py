@@ -154,7 +154,7 @@ def test_a_rehearsal_is_wired_as_its_simulators_are(small) -> None:
     [
         ({"speed": 0.0}, "speed must be above 0"),
         ({"speed": float("inf")}, "speed must be above 0"),
-        ({"ports": (99999, 0)}, "ports must be from 1 to 65535"),
+        ({"ports": (99999, 0, 0)}, "ports must be from 1 to 65535"),
     ],
 )
 def test_a_rehearsal_that_cannot_be_is_refused(small, words, text) -> None:
