@@ -126,26 +126,39 @@ def site(folder: Path) -> Content:
     yield site_space(merged.cloud, merged.registration, change=change), {}
 
 
-@contextmanager
 def scan(folder: Path) -> Content:
     """Scan of the ladder, slow on its way until the picture is taken."""
     survey = readable_survey(samples.cube("ladder"))
     assert survey is not None
+    return running(folder, survey, SHARE)
+
+
+def vehicle(folder: Path) -> Content:
+    """Scan of the amphora from a vehicle that is too fast."""
+    example = ROOT / "examples" / "vehicle"
+    survey = Survey.from_toml(example / "record.toml")
+    settings = acquisition.Settings.from_toml(example / "devices.toml")
+    return running(folder, survey, 0.7, settings=settings)
+
+
+@contextmanager
+def running(folder: Path, survey: Survey, share: float, **more: Any) -> Content:
+    """Scan that is slow after a share of its samples, until the picture is taken."""
     reached, go_on = threading.Event(), threading.Event()
 
     def watched(now: acquisition.Progress) -> None:
-        if now.done > SHARE * now.total:
+        if now.done > share * now.total:
             reached.set()
             go_on.wait(0.15)
 
     thread = threading.Thread(
         target=acquisition.acquire,
-        args=(survey, folder / "ladder-scan"),
-        kwargs={"scene": simulation.scene_light, "progress": watched},
+        args=(survey, folder / "scan"),
+        kwargs={"scene": simulation.scene_light, "progress": watched, **more},
     )
     thread.start()
     reached.wait(600)
-    live = page.Live(folder / "ladder-scan")
+    live = page.Live(folder / "scan")
     live.look()
     try:
         yield live, {}
@@ -186,6 +199,11 @@ def traced(shown: Any) -> None:
     shown.wait_for_selector("html[data-traced]", state="attached")
 
 
+def covered(shown: Any) -> None:
+    """Wait for the lines that the vehicle has measured."""
+    shown.wait_for_selector("html[data-lines]", state="attached")
+
+
 #: Content of each picture, and what is done before it is taken.
 PICTURES: dict[str, tuple[Any, Callable[[Any], None]]] = {
     "file": (file, measured),
@@ -195,6 +213,7 @@ PICTURES: dict[str, tuple[Any, Callable[[Any], None]]] = {
     "deviation": (deviation, significant),
     "site": (site, key("t")),
     "scan": (scan, traced),
+    "vehicle": (vehicle, covered),
 }
 
 

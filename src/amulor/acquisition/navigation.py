@@ -22,7 +22,7 @@ from amulor.platform import Mounting, Trajectory, instrument_poses
 from amulor.platform.arrivals import without_steps
 from amulor.platform.messages import messages_of, trajectory_of
 from amulor.survey import Survey
-from amulor.survey.course import planned_track
+from amulor.survey.course import planned_spacing
 from amulor.survey.scan import Pose
 
 Floats = NDArray[np.float64]
@@ -57,23 +57,23 @@ class RecordedTrajectory:
         return result.reshape(time.shape)
 
 
-def speed_advice(
-    recorded: RecordedTrajectory, survey: Survey, time: Floats
-) -> list[str]:
-    """Describe lines that are farther apart than planned.
+def line_steps(recorded: RecordedTrajectory, time: Floats) -> Floats:
+    """Return distances of the instrument from line to line, NaN if unknown [m].
 
-    `time` has the times of the readings by frequency, channel, row and column [s].
+    `time` has the middle of each line by the clock of the scan [s].
     """
-    if recorded.trajectory is None or len(time[0, 0]) < 2:
-        return []
-    rows = [row[np.isfinite(row)].mean() for row in np.moveaxis(time, 2, 0)
-            if np.isfinite(row).any()]  # fmt: skip
+    if recorded.trajectory is None:
+        return np.full(max(time.size - 1, 0), np.nan)
     poses = instrument_poses(
-        recorded.trajectory, recorded.mounting, recorded.origin + np.array(rows)
+        recorded.trajectory, recorded.mounting, recorded.origin + time
     )
-    steps = np.linalg.norm(np.diff(poses.position, axis=0), axis=1)
+    return np.asarray(np.linalg.norm(np.diff(poses.position, axis=0), axis=1))
+
+
+def speed_advice(steps: Floats, survey: Survey) -> list[str]:
+    """Describe lines that are farther apart than planned, from `line_steps`."""
     steps = steps[np.isfinite(steps)]
-    wanted = planned_track(survey)[0] / survey.scan.rows
+    wanted = planned_spacing(survey, 0.0)[0]
     if not steps.size or wanted == 0 or np.median(steps) <= _TOO_FAR * wanted:
         return []
     between = float(np.median(steps))
@@ -81,6 +81,15 @@ def speed_advice(
         f"too fast: {1e3 * between:.3g} mm between lines, {1e3 * wanted:.3g} wanted; "
         f"drive {between / wanted:.2g} times slower, or plan shorter rows"
     ]
+
+
+def middle_times(time: Floats) -> Floats:
+    """Return the middle of each row that has readings, in order [s].
+
+    `time` has the times of the readings by frequency, channel, row and column [s].
+    """
+    rows = [row[np.isfinite(row)] for row in np.moveaxis(time, 2, 0)]
+    return np.array([row.mean() for row in rows if row.size])
 
 
 def recorded_trajectory(journal: Journal, survey: Survey) -> RecordedTrajectory | None:

@@ -132,22 +132,23 @@ def _footprint(
     """Return distances of a scan from a vehicle: track, rows, readings, columns."""
     import numpy as np
 
-    from amulor.survey.course import planned_track
+    from amulor.survey.course import planned_spacing, planned_track
     from amulor.survey.directions import reading_windows
 
-    platform, scan = survey.platform, survey.scan
+    platform = survey.platform
     assert platform is not None
     track, duration = planned_track(survey)
     speed = track / duration
     middle, length = reading_windows(survey)
-    pitch = scan.azimuth_span / max(scan.columns - 1, 1)
+    distance = math.nan if reach is None else sum(reach) / 2
+    between_rows, between_columns = planned_spacing(survey, distance)
     return {
         "course": platform.course.kind,
         "speed_m_per_s": speed,
         "track_m": track,
-        "between_rows_m": track / scan.rows,
+        "between_rows_m": between_rows,
         "along_readings_m": speed * float(np.ptp(middle) + length),
-        "between_columns_m": None if reach is None else pitch * sum(reach) / 2,
+        "between_columns_m": None if reach is None else between_columns,
     }
 
 

@@ -75,6 +75,13 @@ def planned_track(survey: Survey) -> tuple[float, float]:
     return float(track), float(duration)
 
 
+def planned_spacing(survey: Survey, slant_range: float) -> tuple[float, float]:
+    """Return planned distances between rows and between columns of points [m]."""
+    scan = survey.scan
+    pitch = scan.azimuth_span / max(scan.columns - 1, 1)
+    return planned_track(survey)[0] / scan.rows, pitch * slant_range
+
+
 def planned_speed(platform: Platform) -> float:
     """Return the planned speed of a vehicle, with current and oscillation [m/s]."""
     wave = platform.disturbance

@@ -36,6 +36,8 @@ from amulor.acquisition.journal.journal import Journal
 from amulor.acquisition.journal.record import EXTRA, QUANTITIES
 from amulor.acquisition.navigation import (
     RecordedTrajectory,
+    line_steps,
+    middle_times,
     recorded_trajectory,
     speed_advice,
 )
@@ -139,7 +141,8 @@ def recover(
         (damaged or told)(f"{folder}: and {more} more rows like these")
     if recorded is not None:
         _write_trajectory(recorded, cube, trajectory_path(path), told, overwrite)
-        for line in speed_advice(recorded, survey, cube["reading_time"].values):
+        steps = line_steps(recorded, middle_times(cube["reading_time"].values))
+        for line in speed_advice(steps, survey):
             told(line)
     write_cube(cube, path, overwrite=overwrite)
     result = read_cube(path)

@@ -28,6 +28,7 @@ from amulor.optics import ambiguity
 from amulor.survey import Survey
 from amulor.survey.directions import scan_directions
 from amulor.survey.view import geometry_attributes
+from amulor.view.page.coverage import Coverage
 from amulor.view.page.progress import Progress
 from amulor.view.page.recording import Comparison, Recording, recording_of
 from amulor.view.page.traces import Traces
@@ -99,6 +100,10 @@ class Live:
         self._survey = Survey.from_text(meta["survey"], name="the survey of the scan")
         self._progress = Progress(self._survey, meta, clock=clock)
         self.traces = Traces(self._survey, procedure)
+        #: Track and coverage of a scan from a vehicle; None if the instrument stands.
+        self.coverage: Coverage | None = None
+        if self._survey.platform is not None:
+            self.coverage = Coverage(self._survey)
         self._clock = clock
         self._lock = threading.Lock()
         #: The journal is read by one thread at a time.
@@ -165,6 +170,8 @@ class Live:
         for number, key, record in fresh:
             self._last = number
             self.traces.take(key, record)
+            if self.coverage is not None:
+                self.coverage.take(key, record)
             place = self._progress.take(key, record)
             if place is not None:
                 self._changed.add(place)
@@ -176,10 +183,22 @@ class Live:
         # lock.
         resume = None if in_use(self.folder) else resume_command(self.folder)
         segments = self._journal.segments()
+        status = self._progress.status(segments, resume=resume)
+        if self.coverage is not None:
+            self.coverage.look(self._journal, self._ranges, version=self.pictures)
+            status["coverage"] = self.coverage.version
+            if status["state"] == "running":
+                status["advice"] = [*self.coverage.advice, *status["advice"]]
         with self._lock:
             self._rows.update({(row.channel, row.row): row for row in rows})
-            self.status = self._progress.status(segments, resume=resume)
+            self.status = status
         self._maybe_all()
+
+    def _ranges(self) -> Floats:
+        """Slant ranges of the first channel, with the water in where it is not out."""
+        channel = self.polarizations[0]
+        ranges = self.now(channel, "range")
+        return np.where(np.isfinite(ranges), ranges, self.now(channel, "range_before"))
 
     def _patched(self) -> list[Rows]:
         """Newly completed rows, raw and corrected with the last water estimate."""

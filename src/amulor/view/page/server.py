@@ -318,6 +318,7 @@ def _routes(content: Recording | Live, products: Products | None) -> list[Any]:
         Route("/layer/{channel}/{name}", pages.layer),
         Route("/spectrum/{channel}/{row:int}/{column:int}", pages.spectrum),
         Route("/traces/{channel}/{frequency:int}", pages.traces),
+        Route("/coverage", pages.coverage),
         Route("/measure", pages.measure, methods=["POST"]),
         Route("/save", pages.save, methods=["POST"]),
         *_NotePages(Notes(pages.path)).routes(),
@@ -349,6 +350,7 @@ class _Pages:
                 {
                     **self._recording.describe(channel),
                     "live": isinstance(self._shown, Live),
+                    "moves": getattr(self._shown, "coverage", None) is not None,
                 }
             )
 
@@ -392,6 +394,15 @@ class _Pages:
             if not isinstance(self._shown, Live):
                 raise CubeError("signals over time are those of a running scan")
             return JSONResponse(self._shown.traces.over_time(channel, frequency))
+
+        return await answered(answer)
+
+    async def coverage(self, request: Request) -> Response:
+        def answer() -> Response:
+            live = self._shown
+            if not isinstance(live, Live) or live.coverage is None:
+                raise CubeError("track and coverage are those of a scan from a vehicle")
+            return JSONResponse(live.coverage.state)
 
         return await answered(answer)
 

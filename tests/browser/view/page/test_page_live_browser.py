@@ -212,3 +212,71 @@ def test_messages_go_with_their_cause_and_labels_of_the_drift_are_whole(
             signs = {text[0] for text, _ in labels}
             assert {"0", "+", "\N{MINUS SIGN}"} <= signs, labels
     live.stop()
+
+
+def test_track_and_coverage_of_a_vehicle_are_shown_while_it_drives(
+    tab: Callable[..., Any], plate: Survey, folder: Path
+) -> None:
+    survey = plate.with_(
+        {
+            "instrument.modulation_frequencies": ["39 MHz"],
+            "instrument.polarizations": ["VV"],
+            "scan.columns": 4,
+            "scan.rows": 12,
+            "scan.azimuth_span": 0.1,
+            "scan.elevation_span": 0.0,
+            "scan.dwell": "50 ms",
+            "scan.open_water": {"columns": 3, "rows": 1, "repeats": 3},
+            "pose": {"position": [0.0, 0.0, -8.0], "pitch": "-90 deg"},
+            "platform": {
+                "readings": "at-once",
+                "course": {
+                    "kind": "line", "start": [0.0, 0.0, -8.0], "speed": "0.05 m/s",
+                },
+                "mounting": {"pitch": "-90 deg"},
+            },
+        }
+    )  # fmt: skip
+    go_on = threading.Event()
+
+    def slowly(now: acquisition.Progress) -> None:
+        if now.done > now.total - 20:
+            go_on.wait(300)
+
+    settings = {"dark_readings": 2, "settling": 20}
+    thread = threading.Thread(
+        target=acquisition.acquire,
+        args=(survey, folder),
+        kwargs={
+            "settings": Settings.model_validate({"procedure": settings}),
+            "scene": simulation.scene_light,
+            "progress": slowly,
+        },
+    )
+    thread.start()
+    while not (folder / FILE_NAME).exists():
+        time.sleep(0.05)
+    live = page.Live(folder)
+    try:
+        one = tab()
+        with page.background(live) as address:
+            shown = one.open(address)
+            until(shown, "document.documentElement.dataset.lines > 4")
+            text = shown.inner_text("#vehicle-card")
+            assert re.search(r"speed\s+0\.05 m/s, 0\.05 planned", text)
+            assert re.search(r"between lines\s+[\d.]+ mm, 10 wanted", text)
+            until(shown, "amulor.live.status.advice[0]?.startsWith('too fast')")
+            assert "Too fast: " in shown.inner_text("#band .advice")
+            until(shown, "/covered/.test(document.body.innerText)")
+            picture = drawn(shown, "vehicle-plan")
+            assert (picture[..., 3] > 0).mean() > 0.01
+            label = shown.get_attribute("#vehicle-plan", "aria-label")
+            assert "points per m²" in label
+            go_on.set()
+            until(shown, "document.documentElement.dataset.state === 'finished'")
+            until(shown, "document.documentElement.dataset.lines === '12'")
+            assert one.errors == []
+    finally:
+        go_on.set()
+        thread.join(120)
+        live.stop()

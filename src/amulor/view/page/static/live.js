@@ -4,6 +4,7 @@ import { $, inkOf } from "./dom.js";
 import { fitted } from "./map.js";
 import { Traces } from "./traces.js";
 import { clockIn, duration, short, ticks } from "./text.js";
+import { Vehicle } from "./vehicle.js";
 
 /** Delay before another attempt to reach a lost server [ms]. */
 const PAUSES = [500, 1000, 2000, 5000];
@@ -41,6 +42,7 @@ export class Live {
     this.replay.hidden = true;
     card.append(head, progress, this.list, this.drift, this.replay, this.advice);
     this.traces = new Traces(page);
+    if (page.state.scene.moves) this.vehicle = new Vehicle(page);
     this.#replaying();
     this.#connect();
   }
@@ -153,6 +155,8 @@ export class Live {
     this.#band(status, share);
     this.#drift(status.drift, colours);
     this.traces.update(status.done);
+    this.vehicle?.update(status.coverage);
+    this.vehicle?.draw();
     this.replay.hidden = status.state !== "finished";
     document.documentElement.dataset.done = String(status.done);
     document.documentElement.dataset.state = status.state;

@@ -44,6 +44,11 @@ class Served {
     return (await this.#answer(`traces/${encodeURIComponent(channel)}/${frequency}`)).json();
   }
 
+  /** Return track and coverage of a running scan from a vehicle. */
+  async coverage() {
+    return (await this.#answer("coverage")).json();
+  }
+
   async measure(request) {
     return (await this.#post("measure", request)).json();
   }
