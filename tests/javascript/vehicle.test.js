@@ -53,7 +53,7 @@ test("numbers state what was wanted, and mark what falls short", () => {
   assert.equal(rows["points per m²"].text, "7,140, 20,000 wanted");
   assert.ok(rows["points per m²"].wrong);
   assert.equal(rows.speed.text, "0.28 m/s, 0.1 planned");
-  assert.equal(rows["pixels without a pose"], undefined);
+  assert.equal(rows["without a pose"], undefined);
 });
 
 test("unknown numbers are left out", () => {

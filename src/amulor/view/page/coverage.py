@@ -116,7 +116,7 @@ class Coverage:
         state = {
             **_UNKNOWN,
             "lines": int(rows.size),
-            "without_pose": int((~known & np.isfinite(time[rows])).sum()),
+            "without_pose": int((~known & (time[rows] < _end(recorded))).sum()),
             "remarks": list(recorded.lines),
             "between": _median(steps[-_NEWEST:]),
             "wanted": planned_spacing(self._survey, 0.0)[0],
@@ -173,10 +173,18 @@ class Coverage:
             "share": [_number(share[row]) for row in shown],
             "speed": _number(_last(speed)),
             "planned_speed": planned_track(self._survey)[0] / duration,
-            "density": _median(density[-_NEWEST:]),
+            "density": _median(density[np.isfinite(density)][-_NEWEST:]),
             "wanted_density": _number(wanted),
             "area": _number(np.nansum(area)),
         }
+
+
+def _end(recorded: RecordedTrajectory) -> float:
+    """Return the time of the newest pose, before which poses are missing [s]."""
+    if recorded.trajectory is None:
+        return np.inf
+    offset = recorded.mounting.clock_offset
+    return float(recorded.trajectory.time[-1] - offset - recorded.origin)
 
 
 def _thinned(count: int) -> tuple[NDArray[np.intp], list[tuple[int, int]]]:

@@ -178,8 +178,9 @@ def test_slower_lines_end_the_advice(survey: Survey) -> None:
         assert bool(coverage.advice) == advice
         assert coverage.state["lines"] == rows
     assert coverage.state["remarks"] == ["navigation: a gap"]
-    # Poses beyond the end are unknown.
+    # Poses beyond the end have not arrived yet; those before the start are missing.
     coverage._sum[59], coverage._count[59] = 1000.0, 1
+    coverage._sum[0] = -5.0
     coverage._take_stock(recorded, ranges)
     assert coverage.state["without_pose"] == COLUMNS
 

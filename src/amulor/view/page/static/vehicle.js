@@ -62,7 +62,7 @@ export function numbersOf(state) {
   }
   if (state.area) add("covered", `${plain(state.area)} m²`);
   add("lines", String(state.lines));
-  if (state.without_pose) add("pixels without a pose", grouped(state.without_pose), true);
+  if (state.without_pose) add("without a pose", `${grouped(state.without_pose)} pixels`, true);
   return rows;
 }
 
