@@ -1,13 +1,13 @@
 """Scatter of independent photon runs beside their stated errors, and figures of merit.
 
-    python benchmarks/measure_photon_seeds.py run FOLDER CASE FIRST END
-    python benchmarks/measure_photon_seeds.py table FOLDER
+    python benchmarks/measure_photon_seeds.py run FILE CASE FIRST END
+    python benchmarks/measure_photon_seeds.py table [FILE]
 
-The first form simulates a case with the seeds from FIRST up to END and writes
-FOLDER/CASE-FIRST.json; a file that exists is kept, so a study can be resumed and
-divided over processes. CASE is one of CASES: light of a target at a number of
-attenuation lengths, or light of the water. The second form reads all files and prints a
-table. Each run is compared with the mean of all other seeds of its case. The deviation
+The first form simulates a case with the seeds from FIRST up to END and adds a row of
+FILE for each; seeds that the file contains are left out, so a study can be resumed.
+CASE is one of CASES: light of a target at a number of attenuation lengths, or light of
+the water. The second form prints a table of `photon_seeds.csv` or another file.
+Each run is compared with the mean of all other seeds of its case. The deviation
 of the complex signal, at 0 and 200 MHz, has two components, so its chi-square has two
 degrees of freedom. The figure of merit is 1 / (relative variance x seconds of processor
 time), with the variance from the scatter of the seeds.
@@ -15,13 +15,12 @@ time), with the variance from the scatter of the seeds.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 from time_transport import NARROW, run_of
 
@@ -37,9 +36,14 @@ WATER = {
     "water-stokes": (300_000, 2, True),
 }
 CASES = (*(f"target-{length:g}" for length in LENGTHS), *WATER)
+#: Histories of a run with a target.
+HISTORIES = 160_000
+ROWS = Path(__file__).with_name("photon_seeds.csv")
+#: Covariance of the light at 0 MHz, and three elements of that at 200 MHz.
+COVARIANCE = ("still", "real", "cross", "imaginary")
 
 
-def run(case: str, seed: int) -> dict[str, Any]:
+def run(case: str, seed: int) -> dict[str, object]:
     """Return light, covariance and processor time of one run."""
     start = time.process_time()
     if case in WATER:
@@ -53,42 +57,46 @@ def run(case: str, seed: int) -> dict[str, Any]:
         target = PlaneTarget(
             position=(0, 0, float(case.partition("-")[2])), reflectance=0.3
         )
-        tally = run_of(NARROW, 500_000, seed, [0.0, 200e6], target=target, threads=1)
+        tally = run_of(NARROW, HISTORIES, seed, [0.0, 200e6], target=target, threads=1)
         signal, covariance = tally.target_signal, tally.target_covariance
-    ends = [0, -1]
+    last = covariance[-1]
+    numbers = (covariance[0, 0, 0], last[0, 0], last[0, 1], last[1, 1])
     return {
+        "case": case,
         "seed": seed,
         "seconds": time.process_time() - start,
-        "real": signal.real[ends].tolist(),
-        "imaginary": signal.imag[ends].tolist(),
-        "covariance": covariance[ends].tolist(),
-        "heavy_tail": tally.heavy_tail_of("water" if case in WATER else "target"),
+        "light": signal[0].real,
+        "in_phase": signal[-1].real,
+        "quadrature": signal[-1].imag,
+        **dict(zip(COVARIANCE, numbers, strict=True)),
+        "flagged": int(tally.heavy_tail_of("water" if case in WATER else "target")),
     }
 
 
-def table(folder: Path) -> None:
+def table(file: Path) -> None:
     """Print deviations, chi-square and figures of merit of all cases."""
     print(
         "| case | runs | FOM | largest deviation | beyond 4 sigma | chi-square over "
         "freedom at 0 MHz (p) | at 200 MHz (p) | flagged |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    rows = pd.read_csv(file)
     for case in CASES:
-        runs: list[dict[str, Any]] = []
-        for path in sorted(folder.glob(f"{case}-*.json")):
-            runs += json.loads(path.read_text())
-        runs = list({each["seed"]: each for each in runs}.values())
+        runs = rows[rows["case"] == case]
         if len(runs) < 3:
             continue
-        light = np.array([[each["real"], each["imaginary"]] for each in runs])
-        covariance = np.array([each["covariance"] for each in runs])
+        light = runs["light"].to_numpy()
+        turning = runs[["in_phase", "quadrature"]].to_numpy()
+        still_variance = runs["still"].to_numpy()
+        turning_covariance = runs[["real", "cross", "cross", "imaginary"]].to_numpy()
+        turning_covariance = turning_covariance.reshape(-1, 2, 2)
         count = len(runs)
         # The mean of the others has the covariance of one run over their number.
-        away = (light - light.mean(axis=0)) * count / (count - 1)
-        own = covariance * count / (count - 1)
-        still = away[:, 0, 0] / np.sqrt(own[:, 0, 0, 0])
-        turned = np.einsum("nij,nj->ni", np.linalg.pinv(own[:, 1]), away[:, :, 1])
-        square = np.sum(turned * away[:, :, 1], axis=1)
+        scale = count / (count - 1)
+        still = (light - light.mean()) * scale / np.sqrt(still_variance * scale)
+        away = (turning - turning.mean(axis=0)) * scale
+        inverse = np.linalg.pinv(turning_covariance * scale)
+        square = np.einsum("ni,nij,nj->n", away, inverse, away)
         # About the mean of all, a degree of freedom is lost in each component.
         sums = (np.sum(still**2), np.sum(square))
         sums = tuple(value * (count - 1) / count for value in sums)
@@ -96,8 +104,7 @@ def table(folder: Path) -> None:
             float(stats.chi2.sf(value, (count - 1) * freedom))
             for value, freedom in zip(sums, (1, 2), strict=True)
         ]
-        seconds = np.mean([each["seconds"] for each in runs])
-        merit = light[:, 0, 0].mean() ** 2 / light[:, 0, 0].var(ddof=1) / seconds
+        merit = light.mean() ** 2 / light.var(ddof=1) / runs["seconds"].mean()
         ratios = (sums[0] / (count - 1), sums[1] / (count - 1) / 2)
         texts = [
             f"{ratio:.2f} ({p:.2g})" for ratio, p in zip(ratios, chance, strict=True)
@@ -107,26 +114,26 @@ def table(folder: Path) -> None:
         print(
             f"| {case} | {count} | {merit:,.3g} | {abs(still).max():.1f} | "
             f"{int(np.sum(abs(still) > 4))} | {' | '.join(texts)} | "
-            f"{sum(each['heavy_tail'] for each in runs)} |"
+            f"{runs['flagged'].sum()} |"
         )
 
 
 def main(words: list[str]) -> None:
     """Run seeds of a case, or print the table."""
-    folder = Path(words[1])
     if words[0] == "table":
-        table(folder)
+        table(Path(words[1]) if len(words) > 1 else ROWS)
         return
-    case, first, end = words[2], int(words[3]), int(words[4])
-    output = folder / f"{case}-{first}.json"
-    if output.exists():
-        return
-    folder.mkdir(parents=True, exist_ok=True)
+    file, case, first, end = Path(words[1]), words[2], int(words[3]), int(words[4])
+    done: set[int] = set()
+    if file.exists():
+        rows = pd.read_csv(file)
+        done = set(rows["seed"][rows["case"] == case])
     run(case, 0)  # compiles
-    runs = [run(case, seed) for seed in range(first, end)]
-    part = output.with_suffix(".part")
-    part.write_text(json.dumps(runs))
-    part.rename(output)
+    for seed in range(first, end):
+        if seed not in done:
+            row = pd.DataFrame([run(case, seed)])
+            new = not file.exists()
+            row.to_csv(file, mode="a", header=new, index=False, float_format="%.9g")
 
 
 if __name__ == "__main__":

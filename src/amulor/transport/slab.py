@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulor.transport._kernels import slab as _slab_kernels
+from amulor.transport._kernels.interfaces import Interface
 from amulor.transport._kernels.types import Water
 from amulor.transport._problem import digest_of, integrals_of, water_tables
 from amulor.transport._runs import (
@@ -43,7 +44,8 @@ def reflection_and_transmission(
     incidence: float = 0.0,
     polarization: str | ArrayLike = "none",
     outward: ArrayLike | None = None,
-    index_ratio: float = 1.0,
+    index_ratio: float | tuple[float, float] = 1.0,
+    rms_slope: float = 0.0,
     discs: ArrayLike = (),
     threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -68,9 +70,13 @@ def reflection_and_transmission(
     outward : array_like, optional
         Directions of the radiant intensities to compute, as pairs of polar angle to the
         forward axis, not pi / 2, and azimuth from the right, shape (m, 2) [rad].
-    index_ratio : float
-        Refractive index of the layers divided by that outside [1]. Both faces reflect
-        by Fresnel's formulas.
+    index_ratio : float or tuple of float
+        Refractive index of the layers divided by that outside; a pair for the near and
+        the far face [1]. A face with a ratio above 1 reflects and refracts by Fresnel's
+        formulas.
+    rms_slope : float
+        Root mean square slope of the near face along one axis, such as waves have it
+        [1]. By default the face is flat.
     discs : array_like
         Radii of discs on the far face, centered where the incident beam enters, shape
         (d,) [m].
@@ -86,19 +92,33 @@ def reflection_and_transmission(
         incident light [1]. Parts "direction 1" to "direction m" are the radiant
         intensity of scattered light, relative to the incident light [1/sr]. Parts
         "disc 1" to "disc d" are the transmitted light within each disc [1]. Stokes
-        vectors refer to the plane of the direction and the forward axis.
+        vectors refer to the plane of the direction and the forward axis. `incidence`
+        and `outward` are directions outside of the faces.
 
     Raises
     ------
     ValueError
-        If an argument is out of its range, or if reflecting faces are combined with
-        polarized light or radiant intensities.
+        If an argument is out of its range, or if a rough face is combined with radiant
+        intensities.
 
     Notes
     -----
     Photons are traced until they are absorbed or leave. Each scattering event adds a
     local estimate to each direction: the phase function times the transmission of the
-    straight path out.
+    straight path out, and of the paths that are reflected between the faces.
+
+    A rough face has facets with a normal distribution of slopes, and the shadowing of
+    Smith's model [1]_. Light may be reflected or refracted several times before it
+    leaves, so that no light is lost and paths are reciprocal. For waves on deep water,
+    the mean square slope along one axis is about 0.0015 + 0.00256 U, at a wind speed U
+    in m/s [2]_.
+
+    References
+    ----------
+    .. [1] E. Heitz et al., ACM Trans. Graph. 35, 58 (2016),
+       :doi:`10.1145/2897824.2925943`.
+    .. [2] C. Cox, W. Munk, J. Opt. Soc. Am. 44, 838 (1954),
+       :doi:`10.1364/JOSA.44.000838`.
 
     Examples
     --------
@@ -139,12 +159,20 @@ def reflection_and_transmission(
     radius = np.array(discs, dtype=np.float64)
     if radius.ndim != 1 or not np.all((radius > 0) & np.isfinite(radius)):
         raise ValueError(f"discs must be a list of radii above 0 m, got {discs!r}")
-    if not (math.isfinite(index_ratio) and index_ratio >= 1):
-        raise ValueError(f"index_ratio must be at least 1, got {index_ratio!r}")
-    if index_ratio != 1 and (medium.polarized or angles.size):
+    ratios = np.array(index_ratio, dtype=np.float64)
+    if ratios.shape not in ((), (2,)) or not np.all((ratios >= 1) & (ratios < np.inf)):
         raise ValueError(
-            "faces that reflect need a medium with a phase function and no outward "
-            f"directions; set index_ratio to 1, got {index_ratio!r}"
+            f"index_ratio must be one or two numbers from 1, got {index_ratio!r}"
+        )
+    near, far = (float(ratio) for ratio in np.broadcast_to(ratios, 2))
+    if not 0 <= rms_slope < 1:
+        raise ValueError(f"rms_slope must be from 0 to below 1, got {rms_slope!r}")
+    if rms_slope > 0 and near == 1:
+        raise ValueError("a rough face needs an index_ratio above 1, got 1")
+    if rms_slope > 0 and angles.size:
+        raise ValueError(
+            "a rough face needs no outward directions; set rms_slope to 0, got "
+            f"{rms_slope!r}"
         )
     limits = Limits(histories=histories, threads=threads, progress=progress)
     direction = np.array([math.sin(incidence), 0.0, math.cos(incidence)])
@@ -156,8 +184,9 @@ def reflection_and_transmission(
         size=min(math.ceil(histories / _BATCHES), _LARGEST_BATCH),
         incidence=direction,
         stokes=stokes,
-        outward=_axes(angles),
-        index_ratio=float(index_ratio),
+        outward=_axes(angles, near=near, far=far),
+        near=Interface(ratio=near, slope=float(rms_slope), outward=-1.0),
+        far=Interface(ratio=far, slope=0.0, outward=1.0),
         radius=radius,
     )
     return conduct(run, run.frame(), limits)
@@ -175,7 +204,8 @@ class _Run:
     incidence: Array
     stokes: Array
     outward: Array
-    index_ratio: float
+    near: Interface
+    far: Interface
     radius: Array
 
     @cached_property
@@ -188,7 +218,8 @@ class _Run:
             self.incidence,
             self.stokes,
             self.outward,
-            self.index_ratio,
+            *self.near[:2],
+            self.far.ratio,
             self.radius,
         )
 
@@ -227,7 +258,8 @@ class _Run:
                 stokes=self.stokes,
                 polarized=frame.polarized,
                 outward=self.outward,
-                index_ratio=self.index_ratio,
+                near=self.near,
+                far=self.far,
                 radius=self.radius,
             ),
             self.water,
@@ -237,15 +269,23 @@ class _Run:
         return record.batch(number, self.size, self.size, weight, keep=False)
 
 
-def _axes(outward: Array) -> Array:
-    """Return unit vectors of exit directions and polarization axes, shape (m, 6)."""
+def _axes(outward: Array, *, near: float, far: float) -> Array:
+    """Return exit directions inside, polarization axes and solid angles, shape (m, 7).
+
+    The last column is the solid angle of a direction inside over that outside. Snell's
+    law gives the directions inside, from the index ratios of the near and far face.
+    """
     polar, azimuth = outward.T
+    index = np.where(np.cos(polar) > 0, far, near)
+    sine = np.sin(polar) / index
+    cosine = np.copysign(np.sqrt(1 - sine**2), np.cos(polar))
     columns = [
-        np.sin(polar) * np.cos(azimuth),
-        np.sin(polar) * np.sin(azimuth),
-        np.cos(polar),
-        np.cos(polar) * np.cos(azimuth),
-        np.cos(polar) * np.sin(azimuth),
-        -np.sin(polar),
+        sine * np.cos(azimuth),
+        sine * np.sin(azimuth),
+        cosine,
+        cosine * np.cos(azimuth),
+        cosine * np.sin(azimuth),
+        -sine,
+        np.cos(polar) / (cosine * index**2),
     ]
     return np.ascontiguousarray(np.stack(columns, axis=-1))

@@ -17,9 +17,13 @@ from amulor.studies import ladder
 #: Loops that no command calls.
 LEFT_OUT = {
     "amulor.transport._kernels.slab": {
-        "way_out", "inner_reflectance", "meridian", "cross_layers", "add_exit",
-        "add_discs", "add_directions", "follow_depth", "follow_photon",
+        "way_out", "meridian", "cross_layers", "add_exit", "add_discs", "fill_block",
+        "product", "add_directions", "follow_depth", "follow_photon",
         "follow_photons", "run_slab",
+    },
+    "amulor.transport._kernels.interfaces": {
+        "fresnel", "passed", "normal_number", "seen_slope", "lambda_of", "next_level",
+        "seen_facet", "in_plane", "apply_element", "cross_interface",
     },
     "amulor.transport._kernels.sampling": {"fill_uniform"},
     "amulor.optics.small_angle._kernels": {"spread"},

@@ -344,14 +344,28 @@ REFUSED = {
         lambda: reflection_and_transmission(
             layered(layer()), [0.0], histories=10, seed=1, index_ratio=0.9
         ),
-        "index_ratio must be at least 1, got 0.9",
+        "index_ratio must be one or two numbers from 1, got 0.9",
     ),
-    "radiant intensity behind a face that refracts": (
+    "a slope of a cliff": (
         lambda: reflection_and_transmission(
             layered(layer()), [0.0], histories=10, seed=1, index_ratio=1.3,
-            outward=[(0.2, 0)],
+            rms_slope=1.5,
         ),
-        "faces that reflect need .* set index_ratio to 1, got 1.3",
+        "rms_slope must be from 0 to below 1, got 1.5",
+    ),
+    "a rough face that does not refract": (
+        lambda: reflection_and_transmission(
+            layered(layer()), [0.0], histories=10, seed=1, index_ratio=(1.0, 1.3),
+            rms_slope=0.1,
+        ),
+        "a rough face needs an index_ratio above 1, got 1",
+    ),
+    "radiant intensity through waves": (
+        lambda: reflection_and_transmission(
+            layered(layer()), [0.0], histories=10, seed=1, index_ratio=1.3,
+            rms_slope=0.1, outward=[(0.2, 0)],
+        ),
+        "a rough face needs no outward directions; set rms_slope to 0, got 0.1",
     ),
     "a disc without a size": (
         lambda: reflection_and_transmission(

@@ -29,6 +29,7 @@ from amulor.transport import (
 )
 from amulor.transport._kernels import batch as _batch_kernels
 from amulor.transport._kernels import contributions as _contribution_kernels
+from amulor.transport._kernels import interfaces as _interface_kernels
 from amulor.transport._kernels import joins as _join_kernels
 from amulor.transport._kernels import mesh as _mesh_kernels
 from amulor.transport._kernels import polarization as _polarization_kernels
@@ -520,8 +521,9 @@ def test_the_uncompiled_slab_gives_the_same_record(monkeypatch):
         incidence=np.array([0.6, 0.0, 0.8]),
         stokes=np.array([1.0, 0.3, -0.4, 0.5]),
         polarized=True,
-        outward=np.array([[0.0, 0.6, -0.8, 0.0, -0.8, -0.6]]),
-        index_ratio=1.0,
+        outward=np.array([[0.0, 0.6, -0.8, 0.0, -0.8, -0.6, 0.9]]),
+        near=_interface_kernels.Interface(ratio=1.3, slope=0.2, outward=-1.0),
+        far=_interface_kernels.Interface(ratio=1.1, slope=0.0, outward=1.0),
         radius=np.array([0.7]),
     )
 
@@ -538,7 +540,7 @@ def test_the_uncompiled_slab_gives_the_same_record(monkeypatch):
         return record
 
     compiled = record_of()
-    as_python(monkeypatch, _slab_kernels, _polarization_kernels)
+    as_python(monkeypatch, _slab_kernels, _polarization_kernels, _interface_kernels)
     plain = record_of()
     for name in ("mass", "beyond"):
         assert np.any(getattr(compiled, name) != 0)

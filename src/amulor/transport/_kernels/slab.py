@@ -1,7 +1,7 @@
 """Compiled photon paths in a slab; light recorded at exit or at fixed directions.
 
 The slab is the same all over its planes, so only the depth of a photon is known.
-Theory: docs/theory/photon-transport.md, "What it is checked against". Compiled, as the
+Theory: docs/theory/photon-transport.md, "Plane layers with faces". Compiled, as the
 benchmarks follow many millions of photons one by one.
 """
 
@@ -13,6 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from amulor.transport._kernels.contributions import add_at, add_beyond, add_point
+from amulor.transport._kernels.interfaces import (
+    Interface,
+    cross_interface,
+    fresnel,
+    passed,
+)
 from amulor.transport._kernels.polarization import (
     any_frame,
     between_frames,
@@ -34,6 +40,7 @@ from amulor.transport._kernels.types import (
     Arrival,
     Record,
     States,
+    Stokes,
     Vector,
     Water,
     entry,
@@ -56,9 +63,12 @@ class Light(NamedTuple):
     polarized: bool
     """Whether Stokes vectors are computed."""
     outward: Array
-    """Fixed exit directions and their polarization axes, shape (m, 6)."""
-    index_ratio: float
-    """Refractive index of the layers, relative to the index outside [1]."""
+    """Fixed exit directions inside of the layers, their polarization axes, and their
+    solid angle over that outside, shape (m, 7)."""
+    near: Interface
+    """Face on which the light falls."""
+    far: Interface
+    """Face behind the layers."""
     radius: Array
     """Radii of discs on the far face around the incident beam [m]."""
 
@@ -79,21 +89,6 @@ def way_out(
             depth += attenuation[k] * (high - low) / abs(mz)
             length += (high - low) / abs(mz)
     return depth, length
-
-
-@kernel
-def inner_reflectance(cosine: float, index: float) -> float:
-    """Fresnel reflectance of unpolarized light that meets a face from inside.
-
-    The cosine is that to the normal of the face, the index is relative to the outside.
-    """
-    sine_outside = (1.0 - cosine * cosine) * index * index
-    if sine_outside >= 1.0:
-        return 1.0
-    outside = math.sqrt(1.0 - sine_outside)
-    across = (index * cosine - outside) / (index * cosine + outside)
-    along = (cosine - index * outside) / (cosine + index * outside)
-    return 0.5 * (across * across + along * along)
 
 
 @kernel
@@ -170,7 +165,33 @@ def add_discs(
             add_exit(n, now, first + k, length, record, arrival.light)
 
 
+#: Local estimates of light that the faces reflected more often are left out below this
+#: fraction of the light.
+_FAINTEST = 1e-9
+
+
 @step
+def fill_block(element: Stokes, factor: float, path_matrix: Array) -> None:
+    """Fill a path's Mueller matrix with the elements m11, m12, m33 and m34."""
+    for row in range(2):
+        for column in range(2):
+            path_matrix[3 + 4 * row + column] = factor * element[abs(row - column)]
+            path_matrix[13 + 4 * row + column] = factor * element[2 + abs(row - column)]
+    path_matrix[17] = -path_matrix[14]
+
+
+@kernel
+def product(a: Stokes, b: Stokes) -> Stokes:
+    """Return elements m11, m12, m33 and m34 of the product of two such matrices."""
+    return (
+        a[0] * b[0] + a[1] * b[1],
+        a[0] * b[1] + a[1] * b[0],
+        a[2] * b[2] - a[3] * b[3],
+        a[2] * b[3] + a[3] * b[2],
+    )
+
+
+@inner
 def add_directions(
     collision: tuple[float, int, float],
     n: Vector,
@@ -182,31 +203,51 @@ def add_directions(
 ) -> None:
     """Record local estimates of scattered light in the fixed directions.
 
-    A local estimate: p(theta) times exp(-tau) on the straight way out. The collision
-    is given by its depth, layer and path length.
+    A local estimate: p(theta) times exp(-tau) on the straight way out, and on the ways
+    that the faces reflect. The collision is given by its depth, layer and path length.
     """
     z, layer, length = collision
     outward, out, path_matrix = light.outward, arrival.light, arrival.path_matrix
-    at = water.table[layer]
+    at, edge, attenuation = water.table[layer], water.edge, water.attenuation
     for k in range(outward.shape[0]):
-        m = (outward[k, 0], outward[k, 1], outward[k, 2])
-        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
-        cell = cell_of(height_between(cosine))
-        depth, remaining = way_out(z, m[2], water.edge, water.attenuation)
-        factor = water.value[at, cell] * math.exp(-depth)
-        out[0] = factor
-        if light.polarized:
-            for i in range(3):
-                path_matrix[i] = outward[k, 3 + i]
-            connected(n, now, m, path_matrix, water.element, at, cell, out)
-            for i in range(4):
-                out[i] *= factor
-        add_point(record, FIRST_DIRECTION + k, length + remaining, out)
+        mx, my, mz = outward[k, 0], outward[k, 1], outward[k, 2]
+        exit_face = light.far if mz > 0.0 else light.near
+        other = light.near if mz > 0.0 else light.far
+        element = passed(fresnel(abs(mz), exit_face.ratio))
+        crossed, further = 0.0, 0.0  # optical thickness and length of the echoes
+        while True:
+            cosine = n[0] * mx + n[1] * my + n[2] * mz
+            cell = cell_of(height_between(cosine))
+            depth, remaining = way_out(z, mz, edge, attenuation)
+            factor = outward[k, 6] * math.exp(-depth - crossed)
+            factor *= water.value[at, cell]
+            out[0] = factor * element[0]
+            if light.polarized:
+                # The meridian axis of m; that of an echo has its sides exchanged.
+                side = math.copysign(1.0, mz * outward[k, 2])
+                path_matrix[0] = side * outward[k, 3]
+                path_matrix[1] = side * outward[k, 4]
+                path_matrix[2] = outward[k, 5]
+                fill_block(element, factor, path_matrix)
+                connected(
+                    n, now, (mx, my, mz), path_matrix, water.element, at, cell, out
+                )
+            add_point(record, FIRST_DIRECTION + k, length + remaining + further, out)
+            if other.ratio == 1.0:
+                break
+            # The light starts towards the other side, and is reflected there first.
+            mz = -mz
+            whole, across = way_out(edge[0], abs(mz), edge, attenuation)
+            crossed, further = crossed + whole, further + across
+            element = product(element, fresnel(abs(mz), other.ratio))
+            exit_face, other = other, exit_face
+            if not (element[0] * math.exp(-crossed) > _FAINTEST):
+                break
 
 
 @step
 def follow_depth(
-    state: States, nz: float, index_ratio: float, water: Water
+    state: States, nz: float, light: Light, water: Water
 ) -> tuple[int, float, float]:
     """Trace a photon of which only the depth counts; return part, cosine and length.
 
@@ -218,9 +259,8 @@ def follow_depth(
     while True:
         z, layer, length = cross_layers(state, z, nz, layer, length, water)
         if layer < 0 or layer >= layers:
-            if index_ratio != 1.0 and uniform(state) < inner_reflectance(
-                abs(nz), index_ratio
-            ):
+            index = light.near.ratio if layer < 0 else light.far.ratio
+            if index != 1.0 and uniform(state) < fresnel(abs(nz), index)[0]:
                 nz = -nz
                 layer = 0 if layer < 0 else layers - 1
                 continue
@@ -262,12 +302,12 @@ def follow_photon(
             x += n[0] * (length - before)
             y += n[1] * (length - before)
         if layer < 0 or layer >= layers:
-            if light.index_ratio != 1.0 and uniform(state) < inner_reflectance(
-                abs(n[2]), light.index_ratio
-            ):
-                n = (n[0], n[1], -n[2])
-                layer = 0 if layer < 0 else layers - 1
-                continue
+            face = light.near if layer < 0 else light.far
+            if face.ratio != 1.0:
+                stays, n = cross_interface(state, n, now, polarized, True, face)
+                if stays:
+                    layer = 0 if layer < 0 else layers - 1
+                    continue
             part = REFLECTED if layer < 0 else TRANSMITTED
             add_exit(n, now, part, length, record, arrival.light)
             if part == TRANSMITTED:
@@ -307,28 +347,28 @@ def follow_photons(
     """Trace incident photons through a slab, one by one, and record them."""
     n = (light.incidence[0], light.incidence[1], light.incidence[2])
     axis = projected_frame(n, (1.0, 0.0, 0.0))
-    mirrored = 0.0
-    if light.index_ratio != 1.0:
-        # Snell's law; a face reflects alike from both sides.
-        x, y = n[0] / light.index_ratio, n[1] / light.index_ratio
-        n = (x, y, math.sqrt(1.0 - x * x - y * y))
-        mirrored = inner_reflectance(n[2], light.index_ratio)
-    # Without Stokes vectors, fixed directions and discs only the cosine to z counts.
-    depth_only = not light.polarized
+    # Without Stokes vectors, fixed directions, discs and rough faces only the cosine to
+    # z counts.
+    depth_only = not light.polarized and light.near.slope + light.far.slope == 0.0
     depth_only = depth_only and light.outward.shape[0] + light.radius.size == 0
+    m = n
     for _ in range(histories):
         now[0], now[1], now[2] = axis
         for k in range(4):
             now[3 + k] = light.stokes[k]
-        if mirrored > 0.0 and uniform(state) < mirrored:
-            add_exit(n, now, REFLECTED, 0.0, record, arrival.light)
-            continue
+        if light.near.ratio != 1.0:
+            enters, m = cross_interface(
+                state, n, now, light.polarized, False, light.near
+            )
+            if not enters:
+                add_exit(m, now, REFLECTED, 0.0, record, arrival.light)
+                continue
         if depth_only:
-            part, nz, length = follow_depth(state, n[2], light.index_ratio, water)
+            part, nz, length = follow_depth(state, m[2], light, water)
             if part >= 0:
-                add_exit((n[0], n[1], nz), now, part, length, record, arrival.light)
+                add_exit((m[0], m[1], nz), now, part, length, record, arrival.light)
             continue
-        follow_photon(state, n, now, light, water, record, arrival)
+        follow_photon(state, m, now, light, water, record, arrival)
 
 
 @entry
