@@ -132,11 +132,17 @@ def state_errors(drawn: Any, error: str, size: float) -> None:
 
 
 def version(*folders: str) -> str:
-    """Digest of the code of folders of `amulor.site` without its docstrings."""
+    """Digest of the code of folders of `amulor.site` without its docstrings.
+
+    The drawn sites have no lines of a vehicle, so the code of lines does not count.
+    """
     digest = hashlib.sha256()
     site = HERE.parent / "src/amulor/site"
     for path in sorted(
-        path for part in folders for path in (site / part).rglob("*.py")
+        path
+        for part in folders
+        for path in (site / part).rglob("*.py")
+        if path.name != "line.py"
     ):
         tree = ast.parse(path.read_text("utf-8"))
         for node in ast.walk(tree):
@@ -512,23 +518,46 @@ def classes(rows: list[dict[str, str]]) -> str:
 
 def reasons(rows: list[dict[str, str]]) -> str:
     """Numbers of contradicted sites by first reason and error (Markdown)."""
-    firsts = [(row["spoiler"], row["reasons"].split()[0]) for row in rows
-              if row["outcome"] == "contradicted"]  # fmt: skip
+    firsts = [
+        (row["spoiler"], reason_of(row))
+        for row in rows
+        if row["outcome"] == "contradicted"
+    ]
     errors = [name for name in WORDS if any(row["spoiler"] == name for row in rows)]
     lines = [f"| first reason | {' | '.join(WORDS[name] for name in errors)} |"]
     lines.append("| --- " * (len(errors) + 1) + "|")
-    named = {name for names in REASONS.values() for name in names}
-    for words, names in {**REASONS, "shared error": ()}.items():
-        cells = [
-            sum(
-                spoiler == error
-                and (first in names or (not names and first not in named))
-                for spoiler, first in firsts
-            )
-            for error in errors
-        ]
+    for words in (*REASONS, "shared error"):
+        cells = [firsts.count((error, words)) for error in errors]
         if any(cells):
             lines.append(f"| {words} | {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def reason_of(row: dict[str, str]) -> str:
+    """First reason of a contradicted site in words."""
+    first = row["reasons"].split()[0]
+    return next(
+        (words for words, names in REASONS.items() if first in names), "shared error"
+    )
+
+
+def honest_contradicted(rows: list[dict[str, str]]) -> str:
+    """Contradicted sites with right statements and without an error (Markdown).
+
+    A contradiction is right if a scan is at a grossly wrong pose.
+    """
+    lines = [
+        "| site | kind | error | start | first reason | scans at a wrong pose |",
+        "| --: | --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        honest = row["spoiler"] in ("quiet", "fish", "stated")
+        if honest and row["outcome"] == "contradicted" and float(row["stated"]) == 1:
+            start = f"{float(row['start_m']):g} m, {float(row['start_deg']):g} deg"
+            cells = [row["site"], row["kind"], WORDS[row["spoiler"]], start]
+            lines.append(
+                f"| {' | '.join(cells)} | {reason_of(row)} | {row['off'] or 'none'} |"
+            )
     return "\n".join(lines)
 
 
@@ -540,6 +569,7 @@ def write_page(rows: list[dict[str, str]], total: int, shown: str) -> None:
         "random sites": f"{count}\n\n{table(rows)}",
         "quantities of random sites": quantities(rows),
         "reasons of random sites": reasons(rows),
+        "honest sites contradicted": honest_contradicted(rows),
     }.items():
         marks = rf"(<!-- {name} -->\n).*?(<!-- end of {name} -->\n)"
         text, found = re.subn(
@@ -567,7 +597,8 @@ def main() -> None:
     some = [row for row in rows if row["version"] == shown]
     if options.page:
         write_page(some, len(rows), shown)
-    print(table(some), quantities(some), classes(some), reasons(some), sep="\n\n")
+    texts = (table, quantities, classes, reasons, honest_contradicted)
+    print(*(text(some) for text in texts), sep="\n\n")
 
 
 def measuring_options(about: str | None) -> argparse.ArgumentParser:

@@ -16,8 +16,13 @@ from amulor.site.registration import network
 from amulor.site.registration.network import KnownPose, Layout, State, Ties
 from amulor.site.registration.pair import MOST_POINTS, Pair, compared, tree_of
 from amulor.site.registration.patterns import PatternTest, Undetected, pattern_tests
-from amulor.site.registration.pose import ScanPose, aligned, departure
-from amulor.site.registration.surface import ScanSurface
+from amulor.site.registration.pose import ScanPose
+from amulor.site.registration.rough import rough_poses
+from amulor.site.registration.surface import (
+    ScanSurface,
+    range_correction,
+    with_correction,
+)
 
 Floats = NDArray[np.float64]
 
@@ -35,20 +40,11 @@ _HALF_STEPS = 8
 _DONE, _SETTLED = 4e-4, 0.04
 #: Chance of calling a good pair a disagreement [1].
 _CHANCE = 1e-4
-#: Largest distances of matched points; beyond, other objects of one shape match [m].
-_REACHES = (0.25, 0.1, 0.05)
-#: Offset of further guesses, in standard deviations of heading and of position across
-#: the site [1].
-_ASIDE = 1.0
-#: Probability of a distance from the start pose below which a pose is used only if no
-#: nearer pose fits [1].
-_UNLIKELY = 1e-4
+#: Ranges are corrected by their estimated errors, and patches are fitted again, if the
+#: correction changes by more than this fraction of the range [1].
+_CORRECTED = 1e-3
 #: Largest number of compared points in all pairs of a site [1].
 _MOST_COMPARED = 600_000
-#: Largest number of points of a scan, and of all others, in rough alignment [1].
-_MOST_ROUGH, _MOST_OTHERS = 20_000, 120_000
-#: Number of points that rank rough poses [1].
-_JUDGES = 1500
 #: Prior standard uncertainty of a pose without a start [m, rad].
 _ANYWHERE, _ANYHOW = 100.0, 1.0
 
@@ -110,7 +106,7 @@ def align(
     visits: Mapping[str, str] | None = None,
 ) -> Alignment:
     """Align all scans of a site, and test them for systematic range errors."""
-    poses = _rough_poses(surfaces, ties, voxel=voxel, guess=guess or {})
+    poses = rough_poses(surfaces, ties, voxel=voxel, guess=guess or {})
     names = list(surfaces)
     start = dict(ties.start)
     for name in names:
@@ -131,17 +127,36 @@ def align(
         largest = 6 * max(surface.spacing for surface in surfaces.values())
         gates += [float(g) for g in np.geomspace(largest, largest / 8, _WIDE_STEPS)]
     gates += [None] * _FINE_STEPS
+    waiting = list(gates)
     pairs: list[Pair] = []
     trust: list[float] = []
     settled, steps, free = False, 0, 0
-    for number, gate in enumerate(gates):
-        tell("fitting all scans to each other", 0.3 + 0.5 * number / len(gates))
-        late = number >= _WIDE_STEPS + _FREE_STEPS
+    # Shared errors by which the ranges of `surfaces` are corrected.
+    measured, removed = surfaces, dict.fromkeys(state.errors, 0.0)
+    while waiting:
+        fine = _FINE_STEPS - len(waiting)
+        tell("fitting all scans to each other", 0.8 - 0.5 * len(waiting) / len(gates))
+        first = surfaces is measured
+        # In the first wide steps, estimates may be far off.
+        if not (first and fine < 0) and _much_to_correct(measured, state, removed):
+            removed = dict(state.errors)
+            surfaces = {
+                name: with_correction(surface, range_correction(surface, removed))
+                for name, surface in measured.items()
+            }
+            trees = {name: tree_of(surface) for name, surface in surfaces.items()}
+            if first:
+                # Scans may now meet others that they missed by the errors of ranges.
+                overlaps = _neighbours(surfaces, state.poses, trees, overlap)
+                waiting = list(gates)
+                continue
+        gate = waiting.pop(0)
+        late = fine >= _FREE_STEPS
         pairs = _pairs(
-            surfaces, overlaps, state, trees, gate, pairs if late else (), most
+            surfaces, overlaps, state, removed, trees, gate, pairs if late else (), most
         )
         trust = [1.0] * len(pairs)
-        steps = number + 1
+        steps += 1
         outcome = network.step(
             state,
             pairs,
@@ -149,7 +164,7 @@ def align(
             trust,
             steady=gate is not None,
             free=free,
-            part=0.5 if number >= _WIDE_STEPS + _HALF_STEPS else 1.0,
+            part=0.5 if fine >= _HALF_STEPS else 1.0,
         )
         state = outcome.state
         free = outcome.free if late else 0
@@ -160,7 +175,7 @@ def align(
     if len(pairs) > 1:
         trust, disagreements = _pair_weights(pairs, state, surfaces)
         for _ in range(4 if disagreements else 0):
-            pairs = _pairs(surfaces, overlaps, state, trees, None, pairs, most)
+            pairs = _pairs(surfaces, overlaps, state, removed, trees, None, pairs, most)
             trust, disagreements = _pair_weights(pairs, state, surfaces)
             state = network.step(state, pairs, ties, trust, free=free).state
     tell("covariance of all poses", 0.85)
@@ -192,161 +207,6 @@ def align(
         patterns=patterns,
         undetected=undetected,
         suspected=suspected,
-    )
-
-
-def _rough_poses(
-    surfaces: Mapping[str, ScanSurface],
-    ties: Ties,
-    *,
-    voxel: float | None,
-    guess: Mapping[str, ScanPose],
-) -> dict[str, ScanPose]:
-    """Align all scans one by one, and return their rough poses."""
-    starts = {name: start.pose for name, start in ties.start.items()} | dict(guess)
-    if ties.fixed is not None:
-        starts.setdefault(ties.fixed, ScanPose(np.eye(3), np.zeros(3)))
-    lost = [name for name in surfaces if name not in starts]
-    if lost:
-        raise CubeError(
-            f"scan {lost[0]!r}: nothing tells about where it stood; state [scan.start] "
-            "with uncertainties, or three targets that other scans see, too"
-        )
-    first = ties.fixed or _best_started(ties, guess, list(surfaces))
-    placed = {first: starts[first]}
-    waiting = [name for name in surfaces if name != first]
-    clouds, spacings = {}, []
-    for name, surface in surfaces.items():
-        clouds[name], step = _thinned(surface)
-        spacings.append(step * surface.spacing)
-    spacing = max(spacings)
-    while waiting:
-        tell("aligning roughly", 0.3 * len(placed) / len(surfaces))
-        others = np.concatenate([placed[n].place(clouds[n]) for n in placed])
-        others = others[:: -(-len(others) // _MOST_OTHERS)]
-        tree = cKDTree(others)
-        shares = {}
-        for name in waiting:
-            sample = starts[name].place(
-                clouds[name][:: max(len(clouds[name]) // 2000, 1)]
-            )
-            shares[name] = np.isfinite(
-                tree.query(sample, distance_upper_bound=_REACHES[0])[0]
-            ).mean()
-        name = max(waiting, key=lambda surface: float(shares[surface]))
-        waiting.remove(name)
-        if shares[name] < 0.02:
-            placed[name] = starts[name]
-            continue
-        placed[name] = _rough_pose(
-            clouds[name],
-            others,
-            tree,
-            starts[name],
-            ties.start.get(name),
-            voxel=voxel or 2 * spacing,
-            spacing=spacing,
-        )
-    return {name: placed[name] for name in surfaces}
-
-
-def _thinned(surface: ScanSurface) -> tuple[Floats, int]:
-    """Return usable points of a scan, sampled if many, and the step in pixels."""
-    step = int(np.ceil(np.sqrt(surface.usable.sum() / _MOST_ROUGH)))
-    usable = surface.usable
-    if step > 1:
-        usable = np.zeros_like(usable)
-        usable[::step, ::step] = surface.usable[::step, ::step]
-    return surface.position[usable], step
-
-
-def _rough_pose(
-    cloud: Floats,
-    others: Floats,
-    tree: cKDTree,
-    first_guess: ScanPose,
-    start: KnownPose | None,
-    *,
-    voxel: float,
-    spacing: float,
-) -> ScanPose:
-    """Return the best of several attempts to align a scan with the others.
-
-    Alignment may end at another object of the same shape. Attempts differ in initial
-    pose and in matching distance. The best attempt has the smallest distances in the
-    overlap, among poses that agree with the start pose.
-    """
-    sample = cloud[:: max(len(cloud) // _JUDGES, 1)]
-    attempts = [first_guess]
-    attempts += [
-        aligned(cloud, others, first_guess, voxel=voxel, reach=attempt)
-        for attempt in _REACHES
-    ]
-    if start is not None:
-        attempts += [
-            aligned(cloud, others, attempt, voxel=voxel, reach=_REACHES[0])
-            for attempt in _further_guesses(start, 3 * spacing, sample)
-        ]
-    misfit = np.array(
-        [_misfit(attempt.place(sample), others, tree, spacing) for attempt in attempts]
-    )
-    if start is not None:
-        far = np.array([squared_pull(attempt, start) for attempt in attempts])
-        likely = far <= float(chi2.isf(_UNLIKELY, 6))
-        # Unless all near poses fit as badly as no alignment.
-        if (misfit[likely] < min(0.5, 2 * misfit.min())).any():
-            misfit = np.where(likely, misfit, np.inf)
-    return attempts[int(np.argmin(misfit))]
-
-
-def _further_guesses(start: KnownPose, least: float, cloud: Floats) -> list[ScanPose]:
-    """Return initial poses around an uncertain start pose."""
-    away = float(np.linalg.norm(cloud.mean(axis=0)))
-    starts = []
-    turn = float(np.sqrt(start.covariance[5, 5]))
-    if turn * away > least:
-        for sign in (-_ASIDE, _ASIDE):
-            step = np.array([0, 0, 0, 0, 0, sign * turn])
-            starts.append(start.pose.changed(step))
-    for axis in (0, 1):
-        shift = float(np.sqrt(start.covariance[axis, axis]))
-        if shift > least:
-            for sign in (-_ASIDE, _ASIDE):
-                step = np.zeros(6)
-                step[axis] = sign * shift
-                starts.append(start.pose.changed(step))
-    return starts
-
-
-def _misfit(placed: Floats, others: Floats, tree: cKDTree, spacing: float) -> float:
-    """Return the misfit of points to planes of other points: 0 aligned, 1 far [1]."""
-    away, near = tree.query(placed, k=8, distance_upper_bound=4 * spacing)
-    met = np.isfinite(away).all(axis=1)
-    if not met.any():
-        return 1.0
-    patch = others[near[met]]
-    middle = patch.mean(axis=1)
-    off = patch - middle[:, None]
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))
-    distance = np.abs(np.einsum("ni,ni->n", placed[met] - middle, axes[:, :, 0]))
-    return float(1 - met.mean() + met.mean() * np.minimum(distance / spacing, 1).mean())
-
-
-def squared_pull(pose: ScanPose, start: KnownPose) -> float:
-    """Return the chi-square of a pose's departure from its start pose [1]."""
-    off = departure(pose, start.pose)
-    return float(off @ np.linalg.solve(start.covariance, off))
-
-
-def _best_started(
-    ties: Ties, guess: Mapping[str, ScanPose], names: Sequence[str]
-) -> str:
-    """Return the scan to place first: surest start pose, else guessed, else first."""
-    started = [name for name in names if name in ties.start]
-    if not started:
-        return next(iter(guess), names[0])
-    return min(
-        started, key=lambda scan_name: float(np.trace(ties.start[scan_name].covariance))
     )
 
 
@@ -408,24 +268,48 @@ def _refuse_islands(
         )
 
 
+def _much_to_correct(
+    measured: Mapping[str, ScanSurface], state: State, removed: Mapping[str, float]
+) -> bool:
+    """Whether estimated errors are too large for derivatives at the measured ranges."""
+    change = {key: value - removed[key] for key, value in state.errors.items()}
+    return any(
+        bool(
+            (
+                abs(range_correction(surface, change)) > _CORRECTED * surface.distance
+            ).any()
+        )
+        for surface in measured.values()
+    )
+
+
 def _pairs(
     surfaces: Mapping[str, ScanSurface],
     overlaps: Sequence[tuple[str, str]],
     state: State,
+    removed: Mapping[str, float],
     trees: Mapping[str, cKDTree],
     gate: float | None,
     before: Sequence[Pair],
     most: int,
 ) -> list[Pair]:
-    """Compare overlapping scans, at the points of their earlier comparison if any."""
+    """Compare overlapping scans, at the points of their earlier comparison if any.
+
+    The ranges of the surfaces are corrected by the errors `removed`.
+    """
     among = {(p.source, p.target): p.source_pixel[p.weight > 0] for p in before}
+    ranging = {key for surface in surfaces.values() for key in surface.shared.keys}
+    remaining = {
+        key: value - removed[key] if key in ranging else value
+        for key, value in state.errors.items()
+    }
     comparisons = (
         compared(
             surfaces[source],
             surfaces[target],
             (state.poses[source], state.poses[target]),
             gate=gate,
-            errors=state.errors,
+            errors=remaining,
             tree=trees[target],
             among=among.get((source, target)),
             most=most,

@@ -19,7 +19,7 @@ from amulor.site.blocks import averaged, block_of, block_size, pixels_of_scan
 from amulor.site.description import ScaleBar, Site, SiteScan
 from amulor.site.load import range_image_of
 from amulor.site.registration.absolute import scale_tests, water_indices
-from amulor.site.registration.align import Alignment, align, squared_pull
+from amulor.site.registration.align import Alignment, align
 from amulor.site.registration.centres import centre_of
 from amulor.site.registration.landmarks import common_relief
 from amulor.site.registration.line import (
@@ -55,6 +55,7 @@ from amulor.site.registration.result import (
     Weakness,
     relative_covariance,
 )
+from amulor.site.registration.rough import squared_pull
 from amulor.site.registration.sight import (
     Sight,
     absent_points,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -273,11 +273,15 @@ class ScanSurface:
         return np.asarray(differences).swapaxes(0, 1)
 
 
+def range_correction(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
+    """Return the effect of estimated shared errors on the ranges of a scan [m]."""
+    estimates = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
+    return np.asarray(np.tensordot(estimates, surface.shared.shapes, axes=1))
+
+
 def corrected(surface: ScanSurface, errors: Mapping[str, float]) -> Floats:
     """Return the points of a scan, corrected by its estimated shared errors."""
-    estimates = np.array([errors.get(key, 0.0) for key in surface.shared.keys])
-    off = np.tensordot(estimates, surface.shared.shapes, axes=1)
-    distance = surface.distance - off
+    distance = surface.distance - range_correction(surface, errors)
     points = np.asarray(surface.origin + distance[..., None] * surface.direction)
     if surface.motion is not None:
         pixel = np.flatnonzero(surface.usable)
@@ -324,11 +328,7 @@ def scan_surface(
         noise = np.hypot(noise, motion.own)
     powers = _powers(_DEGREE if window > _DEGREE else 2)
     kernels, plain = _kernels(window, powers), _kernels(window, _powers(2))
-    inverse = np.where(usable, 1 / np.where(usable, distance, 1.0), 0.0)
-    patch, low = (
-        np.array([ndimage.correlate(inverse, k, mode="nearest") for k in kernel_set])
-        for kernel_set in (kernels, plain[:3])
-    )
+    inverse, patch = _patches(distance, usable, kernels)
     complete = ndimage.minimum_filter(
         usable.astype(np.uint8), size=window, mode="constant", cval=0
     )
@@ -341,14 +341,7 @@ def scan_surface(
             f"smooth surface {window} pixels wide, at least {_FEWEST} are needed to "
             "place it; scan finer, or set registration.window lower"
         )
-    # Fit without the central pixel; its slopes are equal.
-    middle = plain[0, window // 2, window // 2]
-    without = (low[0] - middle * inverse) / (1 - middle)
-    # No neighbor has a range where the inverse is 0.
-    reach = np.where(without > 0, 1 / np.where(without > 0, without, 1.0), np.nan)
-    steps = np.array(
-        [[_steps(grid, axis) for axis in (0, 1)] for grid in (origin, direction)]
-    )
+    apart, normal = _tangents(origin, direction, inverse, smooth, window)
     return ScanSurface(
         name=name,
         usable=usable,
@@ -359,15 +352,53 @@ def scan_surface(
         own=noise,
         shared=shared,
         patch=patch,
-        apart=np.asarray(origin + reach[..., None] * direction),
+        apart=apart,
         powers=powers,
         kernels=kernels,
         slope=float(np.sqrt((plain[1] ** 2).sum())),
-        normal=_normals(steps, direction, low, reach, smooth),
+        normal=normal,
         attributes={str(key): value for key, value in image.attrs.items()}
         | {"group_index": float(image["geometry"].attrs["group_index"])},
         motion=motion,
     )
+
+
+def with_correction(surface: ScanSurface, change: Floats) -> ScanSurface:
+    """Return a surface with a correction of its ranges subtracted, and new patches."""
+    distance = surface.distance - change
+    inverse, patch = _patches(distance, surface.usable, surface.kernels)
+    apart, normal = _tangents(
+        surface.origin, surface.direction, inverse, surface.smooth,
+        surface.kernels.shape[1],
+    )  # fmt: skip
+    return replace(surface, distance=distance, patch=patch, apart=apart, normal=normal)
+
+
+def _patches(distance: Floats, usable: Flags, kernels: Floats) -> tuple[Floats, Floats]:
+    """Return inverse ranges, 0 without a range, and polynomials in their windows."""
+    inverse = np.where(usable, 1 / np.where(usable, distance, 1.0), 0.0)
+    patch = [ndimage.correlate(inverse, kernel, mode="nearest") for kernel in kernels]
+    return inverse, np.array(patch)
+
+
+def _tangents(
+    origin: Floats, direction: Floats, inverse: Floats, smooth: Flags, window: int
+) -> tuple[Floats, Floats]:
+    """Return positions estimated from neighboring pixels, and normals of a surface."""
+    plain = _kernels(window, _powers(2))
+    low = np.array(
+        [ndimage.correlate(inverse, kernel, mode="nearest") for kernel in plain[:3]]
+    )
+    # Fit without the central pixel; its slopes are equal.
+    middle = plain[0, window // 2, window // 2]
+    without = (low[0] - middle * inverse) / (1 - middle)
+    # No neighbor has a range where the inverse is 0.
+    reach = np.where(without > 0, 1 / np.where(without > 0, without, 1.0), np.nan)
+    steps = np.array(
+        [[_steps(grid, axis) for axis in (0, 1)] for grid in (origin, direction)]
+    )
+    apart = np.asarray(origin + reach[..., None] * direction)
+    return apart, _normals(steps, direction, low, reach, smooth)
 
 
 def _powers(degree: int) -> Numbers:
