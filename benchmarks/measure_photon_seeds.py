@@ -1,16 +1,16 @@
 """Scatter of independent photon runs beside their stated errors, and figures of merit.
 
     python benchmarks/measure_photon_seeds.py run FILE CASE FIRST END
-    python benchmarks/measure_photon_seeds.py table [FILE]
+    python benchmarks/measure_photon_seeds.py table FILE
 
 The first form simulates a case with the seeds from FIRST up to END and adds a row of
 FILE for each; seeds that the file contains are left out, so a study can be resumed.
 CASE is one of CASES: light of a target at a number of attenuation lengths, or light of
-the water. The second form prints a table of `photon_seeds.csv` or another file.
-Each run is compared with the mean of all other seeds of its case. The deviation
-of the complex signal, at 0 and 200 MHz, has two components, so its chi-square has two
-degrees of freedom. The figure of merit is 1 / (relative variance x seconds of processor
-time), with the variance from the scatter of the seeds.
+the water. The second form prints a table. Each run is compared with the mean of all
+other seeds of its case. The deviation of the complex signal, at 0 and 200 MHz, has two
+components, so its chi-square has two degrees of freedom. The figure of merit is
+1 / (relative variance x seconds of processor time), with the variance from the scatter
+of the seeds.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ WATER = {
 }
 CASES = (*(f"target-{length:g}" for length in LENGTHS), *WATER)
 #: Histories of a run with a target.
-HISTORIES = 160_000
-ROWS = Path(__file__).with_name("photon_seeds.csv")
+HISTORIES = 500_000
 #: Covariance of the light at 0 MHz, and three elements of that at 200 MHz.
 COVARIANCE = ("still", "real", "cross", "imaginary")
 
@@ -121,7 +120,7 @@ def table(file: Path) -> None:
 def main(words: list[str]) -> None:
     """Run seeds of a case, or print the table."""
     if words[0] == "table":
-        table(Path(words[1]) if len(words) > 1 else ROWS)
+        table(Path(words[1]))
         return
     file, case, first, end = Path(words[1]), words[2], int(words[3]), int(words[4])
     done: set[int] = set()
