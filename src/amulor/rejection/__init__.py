@@ -5,6 +5,7 @@ A method takes a cube of level `samples` and returns one of level `target_signal
 optical properties of the water instead, from its open-water shots.
 """
 
+from amulor.rejection.background import background
 from amulor.rejection.combined import combined
 from amulor.rejection.compare import Caution, Comparison, Row, auto, compare
 from amulor.rejection.frequency import FrequencyChoice, choose_frequency, frequency
@@ -48,6 +49,7 @@ __all__ = [
     "ScatteringSplit",
     "WaterFit",
     "auto",
+    "background",
     "choose_channel",
     "choose_frequency",
     "co_polarized",

@@ -37,7 +37,7 @@ class OpenWaterFit:
     """Names of the error terms that are not zero everywhere."""
 
 
-def _subtract(
+def subtract(
     cube: xr.Dataset,
     *,
     fit: OpenWaterFit | None = None,
@@ -58,7 +58,7 @@ def _subtract(
     "open-water",
     needs=Needs(open_water=True),
     simplicity=1,
-    fitter=partial(tiles.fit_on_sample, _subtract),
+    fitter=partial(tiles.fit_on_sample, subtract),
 )
 def open_water(
     cube: xr.Dataset,
@@ -156,7 +156,7 @@ def open_water(
     >>> print(f"{100 * residual / np.abs(water.values.mean()):.1f} % of the water left")
     0.6 % of the water left
     """
-    return _subtract(
+    return subtract(
         cube,
         interval=interval,
         column_uncertainty=column_uncertainty,

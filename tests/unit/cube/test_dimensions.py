@@ -175,6 +175,7 @@ def test_rejection_takes_one_frequency(samples: xr.Dataset, name: str) -> None:
 
 
 SWEEPS: dict[str, Step] = {
+    "background": rejection.background,
     "joint": rejection.joint,
     "polarization_difference": rejection.polarization_difference,
     "range_profile": rejection.range_profile,

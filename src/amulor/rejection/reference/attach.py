@@ -61,7 +61,7 @@ def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
     )
     shots = chosen.amulor.open_water
     if shots is None:
-        shots = _pixels_as_shots(chosen)
+        shots = pixels_as_shots(chosen, np.ones(chosen["azimuth"].shape, dtype=bool))
     bare = cubes.without_groups(cube)
     truth = cube.amulor.truth
     if truth is not None:
@@ -71,11 +71,15 @@ def with_open_water(cube: xr.Dataset, reference: xr.Dataset) -> xr.Dataset:
     )
 
 
-def _pixels_as_shots(reference: xr.Dataset) -> xr.Dataset:
-    """Convert the pixels of a target-free scan to open-water shots, sorted by time."""
-    order = np.arange(reference["azimuth"].size)
+def pixels_as_shots(reference: xr.Dataset, empty: NDArray[np.bool_]) -> xr.Dataset:
+    """Convert pixels without a target to open-water shots, sorted by time.
+
+    `empty` is the mask of these pixels, over (row, column).
+    """
+    order = np.flatnonzero(empty)
     if "time" in reference.coords:
-        order = np.argsort(reference["time"].values.ravel(), kind="stable")
+        time = reference["time"].values.ravel()[order]
+        order = order[np.argsort(time, kind="stable")]
 
     def flat(values: NDArray[Any]) -> NDArray[Any]:
         wide = values.reshape(*values.shape[:-2], -1)

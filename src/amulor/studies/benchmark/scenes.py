@@ -51,7 +51,7 @@ _DARK = 1 / 3
 #: stated noise of "noise" [1].
 _DRIFT, _NOISE = 0.03, 2.0
 
-Layout = Literal["plate", "stairs", "edges", "net", "two", "three", "empty"]
+Layout = Literal["plate", "stairs", "edges", "object", "net", "two", "three", "empty"]
 Frequencies = Literal["one", "two", "four", "sixteen", "sweep"]
 
 
@@ -80,8 +80,8 @@ class Scene(BaseModel):
     """Distance of the plate, of the table [m]."""
     layout: Layout = "plate"
     """Arrangement of the surfaces: a plate, stairs of five treads, an object 12 cm in
-    front of a plate, a net 12 cm in front of it, two or three surfaces 12 cm apart in
-    each beam, or none."""
+    front of a plate, an object in open water, a net 12 cm in front of a plate, two or
+    three surfaces 12 cm apart in each beam, or none."""
     reflectance: Annotated[float, Field(gt=0, le=1)] = 0.1
     """Reflectance of the surfaces, of bright spots if there are spots [1]."""
     texture: bool = False
@@ -272,6 +272,8 @@ def _arranged(scene: Scene, rng: np.random.Generator) -> tuple[Floats, Floats]:
         share[np.searchsorted(light.OFFSETS, place), :, columns] = 1.0
     elif scene.layout == "three":
         share[[near, plain, far]] = np.array(_THREE)[:, None, None]
+    elif scene.layout == "object":
+        share[plain, 3:9, 5:15] = 1.0
     elif scene.layout != "empty":
         part = np.zeros((ROWS, COLUMNS))
         if scene.layout == "two":
