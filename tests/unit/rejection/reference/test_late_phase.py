@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from amulor import pipeline, rejection
+from amulor.optics.late_echo import RELATIVE_UNCERTAINTY
 from amulor.rejection.observation import Observation
 from amulor.rejection.reference.late_phase import late_phase
 from amulor.studies.benchmark.scenes import read
@@ -28,9 +29,7 @@ def test_late_light_is_no_change_of_the_water(case: Case) -> None:
         np.median(image[f"slant_range_{name}"].values)
         for name in ("late_echo", "uncertainty_late_echo")
     )
-    # 5 % at five attenuation lengths, and in proportion beyond.
-    lengths = (0.366 + 1.824) * 3.2
-    assert error / late == pytest.approx(0.05 * lengths / 5, rel=0.02)
+    assert error / late == pytest.approx(RELATIVE_UNCERTAINTY, rel=0.02)
     # Excess delay of the echo by photon transport.
     assert late == pytest.approx(float(np.median(case.late)), abs=2 * error)
 
