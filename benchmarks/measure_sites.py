@@ -11,7 +11,7 @@ Each site is a row of `benchmarks/sites.csv`, with a digest of the code of
 `amulor.site.registration` that measured it. A number of further sites is measured, and
 the campaign goes on where it ended. `--redo` measures rows of other versions again, in
 random order, evenly by kind and error. Without a number the summary of all rows of the
-present version, or of another one (`--of`), is printed. `--page` writes it into
+present version, or of other ones (`--of`), is printed. `--page` writes it into
 docs/benchmarks.md.
 
 `--first 1000 --until 1100` draws numbers from 1000 to 1099. `--part 3/16` measures the
@@ -544,27 +544,30 @@ def reason_of(row: dict[str, str]) -> str:
 def honest_contradicted(rows: list[dict[str, str]]) -> str:
     """Contradicted sites with right statements and without an error (Markdown).
 
-    A contradiction is right if a scan is at a grossly wrong pose.
+    A contradiction is right if a scan was registered at a wrong place.
     """
     lines = [
-        "| site | kind | error | start | first reason | scans at a wrong pose |",
-        "| --: | --- | --- | --- | --- | --- |",
+        "| site | kind | error | start | first reason | largest error of a position |",
+        "| --: | --- | --- | --- | --- | --: |",
     ]
     for row in rows:
         honest = row["spoiler"] in ("quiet", "fish", "stated")
         if honest and row["outcome"] == "contradicted" and float(row["stated"]) == 1:
             start = f"{float(row['start_m']):g} m, {float(row['start_deg']):g} deg"
             cells = [row["site"], row["kind"], WORDS[row["spoiler"]], start]
-            lines.append(
-                f"| {' | '.join(cells)} | {reason_of(row)} | {row['off'] or 'none'} |"
-            )
+            error = f"{1e3 * float(row['largest_m']):.0f} mm"
+            lines.append(f"| {' | '.join(cells)} | {reason_of(row)} | {error} |")
     return "\n".join(lines)
 
 
-def write_page(rows: list[dict[str, str]], total: int, shown: str) -> None:
+def write_page(rows: list[dict[str, str]], total: int, shown: list[str]) -> None:
     """Replace the tables of the page of benchmarks."""
     text = PAGE.read_text("utf-8")
-    count = f"{len(rows):,} of the {total:,} rows are of version `{shown}`."
+    counts = [
+        f"{sum(row['version'] == one for row in rows):,} of version `{one}`"
+        for one in shown
+    ]
+    count = f"Of the {total:,} rows, {' and '.join(counts)} are counted."
     for name, content in {
         "random sites": f"{count}\n\n{table(rows)}",
         "quantities of random sites": quantities(rows),
@@ -587,14 +590,14 @@ def main() -> None:
     """Measure further sites, or print the table."""
     parser = measuring_options(__doc__)
     parser.add_argument("--page", action="store_true")
-    parser.add_argument("--of", metavar="VERSION")
+    parser.add_argument("--of", metavar="VERSION", nargs="*")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     present = version("registration")
     go_on(TABLE, COLUMNS, measured, options, present)
     rows = rows_of(TABLE)
-    shown = options.of or present
-    some = [row for row in rows if row["version"] == shown]
+    shown = options.of or [present]
+    some = [row for row in rows if row["version"] in shown]
     if options.page:
         write_page(some, len(rows), shown)
     texts = (table, quantities, classes, reasons, honest_contradicted)
