@@ -224,4 +224,7 @@ def test_many_killed_commands_leave_nothing_by_half(source: Path, way: str) -> N
         assert os.waitpid(started(words), 0)[1] == 0
     found = kills(way, source, count)
     print(way, found)
-    keep("kills", way=way, what="command", kills=found["kills"], lost=0, parts=0)
+    keep(
+        "kills", what="command", way=way, kills=found["kills"], acknowledged="",
+        lost=0, twice=0, parts=0,
+    )  # fmt: skip

@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 from driven_devices import devices_of
 from shared_light import scene_light
+from trials import keep
 
 from amulor import acquisition
 from amulor.acquisition import plan
@@ -436,6 +437,11 @@ def test_a_thousand_kills_lose_no_acknowledged_sample(
     kills = int(os.environ.get("AMULOR_KILLS", "100"))
     counts = _kill_loop(_prepared(name, way, tiny), folder, kills, settings, way)
     print(name, counts)
+    keep(
+        "kills", what="scan", way=name, kills=counts["kills"],
+        acknowledged=counts["acknowledged"], lost=counts["lost"], twice=counts["twice"],
+        parts=0,
+    )  # fmt: skip
     assert counts["kills"] == kills
     assert (counts["lost"], counts["twice"]) == (0, 0)
     assert counts["acknowledged"] > 3 * kills
