@@ -88,7 +88,9 @@ _APPEARANCE = re.compile(
     r"|mew|ms|ncols?|shrink|xytext|zorder"
 )
 #: Functions whose arguments are places on the bar of progress, or sizes of caches.
-_UNSEEN = frozenset({"part", "_progress.part", "lru_cache", "functools.lru_cache"})
+_UNSEEN = frozenset(
+    {"part", "_progress.part", "tell", "lru_cache", "functools.lru_cache"}
+)
 #: Tests that look at all modules.
 _OF_ALL = ("test_messages.py", "test_public_surface.py")
 _LISTINGS = ("tests/unit/test_public_surface.py",)
@@ -731,8 +733,10 @@ def _try(mutant: Mutant) -> tuple[Mutant, Outcome]:
     return mutant, _worker.outcome(mutant)
 
 
-def table(rows: list[dict[str, str]], sizes: dict[str, int]) -> str:
-    """Return the shares that were caught, by folder and weighted.
+def shares(
+    rows: list[dict[str, str]], sizes: dict[str, int]
+) -> dict[str, tuple[int, int, float, float]]:
+    """Return the shares that were caught by folder, and in all of them together.
 
     Parameters
     ----------
@@ -743,25 +747,49 @@ def table(rows: list[dict[str, str]], sizes: dict[str, int]) -> str:
 
     Returns
     -------
-    str
-        Table in Markdown, and the weighted share.
+    dict
+        Changes that were caught and tried, and limits of 95 % of the share (Clopper and
+        Pearson).
     """
+    counts: dict[str, tuple[int, int]] = {}
+    for name in sorted(sizes):
+        found = Counter(row["result"] for row in rows if folder_of(row["file"]) == name)
+        if others := found["caught"] + found["survived"]:
+            counts[name] = found["caught"], others
+    if counts:
+        every = list(counts.values())
+        counts["all"] = sum(one for one, _ in every), sum(one for _, one in every)
+    return {
+        name: (*count, *binomtest(*count).proportion_ci(0.95, method="exact"))
+        for name, count in counts.items()
+    }
+
+
+def table(rows: list[dict[str, str]], sizes: dict[str, int]) -> str:
+    """Return the shares that were caught as a table in Markdown, and weighted."""
     lines = [
         "| folder | caught | of | share | 95 % |",
         "| --- | --- | --- | --- | --- |",
     ]
-    counts: dict[str, tuple[int, int]] = {}
-    for name in sorted(sizes):
-        found = Counter(row["result"] for row in rows if folder_of(row["file"]) == name)
-        noticed, others = found["caught"], found["caught"] + found["survived"]
-        counts[name] = noticed, others
-        if others:
-            low, high = binomtest(noticed, others).proportion_ci(0.95, method="exact")
-            lines.append(
-                f"| {name} | {noticed} | {others} | {noticed / others:.0%} | "
-                f"{low:.0%} to {high:.0%} |"
-            )
+    found = shares(rows, sizes)
+    for name, (noticed, others, low, high) in found.items():
+        lines.append(
+            f"| {name} | {noticed} | {others} | {noticed / others:.0%} | "
+            f"{low:.0%} to {high:.0%} |"
+        )
+    counts = {name: count[:2] for name, count in found.items() if name in sizes}
     return "\n".join([*lines, "", weighted(counts, sizes)])
+
+
+def _write_shares(
+    path: Path, rows: list[dict[str, str]], sizes: dict[str, int]
+) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("folder", "caught", "tried", "share_%", "low_%", "high_%"))
+        for name, (noticed, others, *ends) in shares(rows, sizes).items():
+            numbers = (100 * value for value in (noticed / others, *ends))
+            writer.writerow((name, noticed, others, *(f"{n:.0f}" for n in numbers)))
 
 
 def main() -> int:
@@ -777,6 +805,7 @@ def main() -> int:
     parser.add_argument("--covering", type=Path, help="tests of each change (JSON)")
     parser.add_argument("--cover", nargs="+", help="write that file: tests to run")
     parser.add_argument("--results", type=Path, default=RESULTS, help="table")
+    parser.add_argument("--shares", type=Path, help="table of shares to write (CSV)")
     parser.add_argument("--again", action="store_true", help="all survivors")
     words = parser.parse_args()
     by_folder: dict[str, list[Mutant]] = {}
@@ -836,6 +865,8 @@ def main() -> int:
     rows = [earlier[mutant.key] for mutant in drawn if mutant.key in earlier]
     found = Counter(row["result"] for row in rows)
     print(f"\n{table(rows, sizes)}\n")
+    if words.shares:
+        _write_shares(words.shares, rows, sizes)
     print(summary(len(rows), found["caught"], found["equivalent"]))
     for row in rows:
         if row["result"] == "survived":

@@ -14,6 +14,12 @@ import warnings
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "src" / "amulor"
+#: Packages whose lines guide the fuzzer: those that read, and what they check with.
+READING = [
+    "amulor.io", "amulor._las", "amulor._hdf5", "amulor.cube", "amulor.survey",
+    "amulor.acquisition.journal", "amulor.view.page.space", "laspy", "h5netcdf",
+    "trimesh.exchange", "tomllib",
+]  # fmt: skip
 #: Modules of compiled functions, which numba does not compile with counters in them.
 COMPILED = [
     ".".join(("amulor", *path.relative_to(PACKAGE).with_suffix("").parts))
@@ -26,9 +32,7 @@ def main(name: str, seconds: str, place: str) -> None:
     """Feed one reader."""
     import atheris
 
-    with atheris.instrument_imports(
-        include=["amulor", "laspy", "h5netcdf", "trimesh", "tomllib"], exclude=COMPILED
-    ):
+    with atheris.instrument_imports(include=READING, exclude=COMPILED):
         import fuzzed_readers
         from fuzzing import fed
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -82,17 +83,19 @@ def test_many_damaged_files_are_refused_in_one_line(
     readers: dict[str, Reader], folder: Path, name: str
 ) -> None:
     many = int(os.environ.get("AMULOR_FUZZ", "10000"))
-    begun = time.monotonic()
+    begun, before = time.monotonic(), _used()
     counts = campaign(readers[name], folder, range(10_000, 10_000 + many))
     print(name, counts)
     keep(
         "fuzzing", reader=name, way="by format", cases=many, refused=counts.refused,
         tracebacks=0, hangs=0, slowest_s=counts.slowest,
         highest_mb=counts.memory / 1e6, minutes=(time.monotonic() - begun) / 60,
+        processor_minutes=(_used() - before) / 60,
     )  # fmt: skip
 
 
 @pytest.mark.study
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", GUIDED)
 def test_files_guided_by_coverage_are_refused_in_one_line(
     folder: Path, plate_text: str, name: str
@@ -102,6 +105,7 @@ def test_files_guided_by_coverage_are_refused_in_one_line(
     place.mkdir()
     (place / "plate.toml").write_text(plate_text)
     seconds = os.environ.get("AMULOR_GUIDED_SECONDS", "600")
+    before = _used()
     words = [sys.executable, str(SUPPORT / "guided_fuzzing.py"), name, seconds]
     done = subprocess.run([*words, str(place)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -111,4 +115,11 @@ def test_files_guided_by_coverage_are_refused_in_one_line(
         cases=int(said["number_of_executed_units"]), tracebacks=0, hangs=0,
         slowest_s=float(said["slowest_unit_time_sec"]), refused="",
         highest_mb=int(said["peak_rss_mb"]), minutes=float(seconds) / 60,
+        processor_minutes=(_used() - before) / 60,
     )  # fmt: skip
+
+
+def _used() -> float:
+    """Return the processor time of this process and those that it started [s]."""
+    parts = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return sum(sum(resource.getrusage(part)[:2]) for part in parts)

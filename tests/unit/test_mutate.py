@@ -146,6 +146,19 @@ def test_the_table_has_a_figure_for_each_folder(tool: ModuleType) -> None:
     assert "| io | 9 | 10 | 90% | 55% to 100% |" in said
     assert "| . |" not in said
     assert "cube" not in said
+    assert "| all | 9 | 10 | 90% | 55% to 100% |" in said
+
+
+def test_shares_are_written_for_each_folder_and_all(
+    tool: ModuleType, tmp_path: Path
+) -> None:
+    rows = [{"file": "io/ply.py", "result": "caught"}] * 9
+    rows += [{"file": "units.py", "result": "survived"}]
+    tool._write_shares(tmp_path / "shares.csv", rows, {"io": 100, ".": 10})
+    head, *lines = (tmp_path / "shares.csv").read_text().splitlines()
+    assert head == "folder,caught,tried,share_%,low_%,high_%"
+    # Tabulated: none of 1 lies below 0.975, and 9 of 9 above 0.6637.
+    assert lines == [".,0,1,0,0,98", "io,9,9,100,66,100", "all,9,10,90,55,100"]
 
 
 PART = '''"""Doubles numbers."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import drawn_sites
 import ezdxf
@@ -19,9 +21,10 @@ from pdf_files import letter_sizes, pages_of
 
 from amulor.cli import main
 from amulor.handover.site_drawings import _ellipse
+from amulor.site import Site
 from amulor.site.registration.result import read_registration, write_registration
 from amulor.view.sheet import Station, error_ellipse
-from amulor.view.site_plan import label_plan
+from amulor.view.site_plan import annotations_of, label_plan
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -49,6 +52,25 @@ def draw(site: Path, *words: str) -> int:
 def drawings(site) -> Path:
     assert draw(site) == 0
     return site.parent
+
+
+def test_the_largest_ellipse_is_as_large_as_it_may_be(site) -> None:
+    described = Site.from_toml(site)
+    known = read_registration(site.with_name("poses.json"))
+    places = {
+        f"pose {scan.name}": (6 * number, 6 * number + 6)
+        for number, scan in enumerate(described.scan)
+    }
+    errors = 1e-6 * np.eye(6 * len(places))
+    registration = replace(known, places=places, covariance=errors)
+    scans = [SimpleNamespace(name=s.name, epoch=s.epoch) for s in described.scan]
+    found = annotations_of(described, registration, scans, largest=0.1)
+    axes = [
+        np.sqrt(np.linalg.eigvalsh(station.covariance)[-1])
+        for station in found.stations.values()
+    ]
+    # The factor is round: 1, 2 or 5 times a power of ten.
+    assert 0.1 / 2.51 < found.enlarged * max(axes) <= 0.1
 
 
 def ids_of(path: Path) -> list[str]:

@@ -70,6 +70,14 @@ def test_a_clock_that_steps_back_is_refused():
         _read(_messages(stamps, TIME))
 
 
+def test_late_messages_at_the_times_of_others_are_a_step_back():
+    # Three messages, 0.04 of a second from three earlier ones: not merely late.
+    stamps = TIME.copy()
+    stamps[60:63] = TIME[20:23] + 0.04
+    with pytest.raises(FormatError, match="line 61: the clock steps back"):
+        _read(_messages(stamps, TIME))
+
+
 def test_two_poses_of_one_time_are_refused():
     stamps = np.insert(TIME, 50, TIME[49])
     with pytest.raises(FormatError, match="line 51: has the time stamp of line 50 but"):

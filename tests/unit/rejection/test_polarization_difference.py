@@ -80,6 +80,16 @@ def test_water_of_one_ratio_is_removed_without_knowing_the_ratio(
     assert flagged(target).mean() < 0.05
 
 
+def test_two_frequencies_are_enough_and_one_is_not(plate: xr.Dataset) -> None:
+    stated = {"target_ratio": TARGET, "target_ratio_uncertainty": 0.02}
+    cube = spotted(plate)
+    two = cube.isel(modulation_frequency=[0, 3])
+    target = rejection.polarization_difference(two, interval=(0.5, 2.5), **stated)
+    assert np.isfinite(target["in_phase"].values).any()
+    with pytest.raises(CubeError, match="one modulation frequency"):
+        rejection.polarization_difference(cube.isel(modulation_frequency=[0]), **stated)
+
+
 def test_a_stated_ratio_that_neighbors_contradict_flags_all_pixels(
     plate: xr.Dataset,
 ) -> None:

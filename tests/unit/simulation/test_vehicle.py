@@ -178,6 +178,14 @@ def test_the_measured_trajectory_without_errors_is_the_course(plate):
         )
 
 
+def test_a_clock_that_starts_earlier_has_later_times(plate):
+    survey = _survey(plate, _course("line"))
+    track = VehicleMotion.of(survey, rng=4).measured(lead=2.5)
+    place, _ = moving_pass.course_at(COURSES["line"], 0.3)
+    expected = place + np.array(CURRENT) * 0.3
+    np.testing.assert_allclose(track.at([2.8]).position[0], expected, atol=1e-9)
+
+
 def test_errors_of_the_trajectory_have_the_stated_covariance(plate):
     """The last message of 400 trajectories: squared Mahalanobis distances are chi2(6).
 

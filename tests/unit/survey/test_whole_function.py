@@ -67,6 +67,13 @@ def test_scattering_beyond_the_split_that_is_called_none_is_at_most_two_percent(
     assert function(np.pi) == pytest.approx(0.001, rel=0.03)
 
 
+def test_only_water_that_does_not_scatter_is_isotropic():
+    function = phase_function_of(water(scattering=1.0))
+    assert function(0.01) > 10 * function(1.0)
+    clear = phase_function_of(water(scattering=0.0))
+    assert clear([0.01, 1.0, np.pi]) == pytest.approx(3 * [1 / (4 * np.pi)])
+
+
 @pytest.mark.parametrize(
     ("others", "words"),
     [

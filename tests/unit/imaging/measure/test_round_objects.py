@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from amulor.errors import CubeError
 from amulor.imaging import measure
+from amulor.imaging.measure import round_objects
 
 #: A cone with its tip above the scan, leaning to the right and away from the viewer.
 TIP = np.array([-0.06, -0.5, 1.55])
@@ -105,6 +106,12 @@ def test_shapes_without_an_axis_are_refused(name) -> None:
     image = shapes.image(scan, exact + shapes.errors(exact, rng))
     with pytest.raises(CubeError, match=r"do not settle|no surface of revolution"):
         measure.revolution(image, every(image))
+
+
+def test_the_fewest_pixels_of_a_cone_are_enough(scan, monkeypatch) -> None:
+    cone = shapes.image(scan, to_cone(scan))
+    monkeypatch.setattr(round_objects, "_FEWEST", int(every(cone).sum()))
+    assert measure.revolution(cone, every(cone)).left_out == 0
 
 
 def test_few_pixels_are_refused(scan) -> None:
