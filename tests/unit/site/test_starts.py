@@ -17,9 +17,10 @@ from amulor import cli
 from amulor.errors import CubeError
 from amulor.site import Site
 from amulor.site.change.distances import change
+from amulor.site.description import StartPose
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.register import register
-from amulor.site.registration.starts import start_findings
+from amulor.site.registration.starts import _gate, start_findings
 
 
 @pytest.fixture(scope="module")
@@ -219,3 +220,14 @@ def test_a_surveyed_station_is_not_called_weak(
     monkeypatch.setattr("amulor.site.registration.register._ENOUGH", 0.0)
     every = register(drawn.site, surfaces=drawn.surfaces, images=drawn.images)
     assert "a1" in {one.scan for one in every.weaknesses}
+
+
+def test_points_move_by_three_standard_errors_of_a_start_pose_at_most() -> None:
+    start = StartPose(
+        position=(0.0, 0.0, 0.0), heading=0.0, position_uncertainty=0.03,
+        heading_uncertainty=0.02, level_uncertainty=0.01,
+    )  # fmt: skip
+    # All points 2 m away, 1 mm beside each other: 3 (30 mm, 40 mm) = 150 mm.
+    angle = np.arange(200) * 5e-4
+    cloud = 2 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    assert _gate(start, cloud) == pytest.approx(0.15, rel=1e-9)

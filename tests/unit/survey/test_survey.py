@@ -219,6 +219,17 @@ def test_twenty_errors_are_printed_and_the_others_counted(
     assert lines[20:] == further
 
 
+def test_a_file_may_have_as_many_bytes_as_the_limit(plate_text, tmp_path, monkeypatch):
+    path = tmp_path / "plate.toml"
+    path.write_text(plate_text)
+    size = path.stat().st_size
+    monkeypatch.setattr("amulor.survey.survey._SIZE_LIMIT", size)
+    assert Survey.from_toml(path) == Survey.from_text(plate_text)
+    monkeypatch.setattr("amulor.survey.survey._SIZE_LIMIT", size - 1)
+    with pytest.raises(SurveyError, match=f"has {size} bytes"):
+        Survey.from_toml(path)
+
+
 def test_a_survey_that_is_none_is_refused_before_slow_imports(tmp_path: Path) -> None:
     (tmp_path / "deep.toml").write_text("a = " + "[" * 50_000)
     code = (
