@@ -377,6 +377,12 @@ def _unmix(
     # dT/dr_t = -T / contrast and dT/dr_w = -W / contrast.
     by_target_ratio = along(target, target_ratio_uncertainty / contrast)
     common = by_target_ratio + along(water, water_ratio_uncertainty / contrast)
+    # A phase between the channels, as by a delay, rotates the difference.
+    turned = np.zeros_like(target)
+    for signal, estimate in ((target, of_target), (water, of_water)):
+        if estimate is not None and estimate.across is not None:
+            turned += estimate.across.reshape(-1, 1, 1, 1) * signal
+    common += along(1j * turned, 1 / contrast)
     terms = present_terms(
         {
             "counting": independent,

@@ -39,6 +39,9 @@ class Ratio:
     """Standard uncertainty; for targets, the spread over the scan included [1]."""
     source: str
     """Measurements from which the ratio was estimated."""
+    across: Floats | None = None
+    """Ratio of the cross-polarized signal in quadrature to the co-polarized one, at
+    each frequency; 0 where noise explains it, None if not estimated [1]."""
 
 
 def possible(ratio: Ratio, *, name: str) -> float:
@@ -155,10 +158,10 @@ def water_ratio(cube: xr.Dataset, *, water_only: ArrayLike | None = None) -> Rat
             "demodulator; choose a more sensitive range, or state water_ratio (command "
             "line: --water-ratio)"
         )
-    values, errors = np.transpose(
+    values, errors, across = np.transpose(
         [_line(a[use], b[use]) for a, b, use in zip(first, second, both, strict=True)]
     )
-    return Ratio(*_weighted_mean(values, errors), source)
+    return Ratio(*_weighted_mean(values, errors), source, across)
 
 
 def target_ratio(
@@ -246,16 +249,29 @@ def ratio_of(target: xr.Dataset) -> Ratio:
         float(np.sum(strength * shared[1])), value * float(np.sum(strength * shared[0]))
     )
     askew = askew if askew > _BY_CHANCE * np.hypot(random, common) else 0.0
+    place = np.nonzero(usable)[0]
+
+    def by_frequency(values: Floats) -> Floats:
+        total = np.zeros(len(usable))
+        np.add.at(total, place, values)
+        return total
+
+    bottoms = by_frequency(weight * (np.abs(a) ** 2 - 2 * noise[0]))
+    bottoms = np.where(bottoms > 0, bottoms, np.inf)
+    chances = np.sqrt(by_frequency((weight * (a.conj() * b).imag) ** 2)) / bottoms
+    parts = by_frequency(across) / bottoms
+    chances = np.hypot(chances, common)
     count = int(usable.any(axis=0).sum())
     return Ratio(
         value,
         float(np.sqrt(random**2 + spread**2 + common**2 + askew**2)),
         f"{count} pixels that show a target",
+        np.where(np.abs(parts) > _BY_CHANCE * chances, parts, 0.0),
     )
 
 
-def _line(first: Complex, second: Complex) -> tuple[float, float]:
-    """Fit the slope of one channel against another; return it with standard error."""
+def _line(first: Complex, second: Complex) -> tuple[float, float, float]:
+    """Fit a channel to another: slope, its standard error, and part in quadrature."""
     mean = first.mean()
     turn = mean / abs(mean)
     a, b = (first / turn).real, (second / turn).real
@@ -264,10 +280,9 @@ def _line(first: Complex, second: Complex) -> tuple[float, float]:
     rest = b - value * a
     random = float(rest.std(ddof=1) / np.sqrt(len(rest)) / abs(mean))
     # Only leakage is in quadrature to the water; see `ratio_of`.
-    askew = abs(float((second / turn).imag.mean())) / abs(mean)
-    return float(value), float(
-        np.hypot(random, askew if askew > _BY_CHANCE * random else 0.0)
-    )
+    askew = float((second / turn).imag.mean()) / abs(mean)
+    askew = askew if abs(askew) > _BY_CHANCE * random else 0.0
+    return float(value), float(np.hypot(random, askew)), askew
 
 
 def _weighted_mean(values: Floats, errors: Floats) -> tuple[float, float]:

@@ -146,3 +146,29 @@ def test_leakage_in_the_references_flags_unmixing(recorded: xr.Dataset) -> None:
     )
     assert (causes & WaterResidualCause.INSTRUMENT).any()
     assert ((flag & (QualityFlag.WATER_RESIDUAL | QualityFlag.NO_TARGET)) != 0).all()
+
+
+def test_a_delay_between_channels_is_in_the_error_of_unmixing(
+    recorded: xr.Dataset,
+) -> None:
+    """Unmixing turns the target by more than the phase between the channels."""
+    delay = 100e-12
+    late = recorded.copy(deep=True)
+    turn = np.exp(2j * np.pi * recorded["modulation_frequency"].values * delay)
+    for prefix, axes in (("", 2), ("open_water_", 1)):
+        signal = late[f"{prefix}in_phase"].values + 1j * (
+            late[f"{prefix}quadrature"].values
+        )
+        signal[:, 1] *= turn.reshape(-1, *[1] * axes)
+        late[f"{prefix}in_phase"].values[:] = signal.real
+        late[f"{prefix}quadrature"].values[:] = signal.imag
+    before, after = (rejection.polarization(cube) for cube in (recorded, late))
+    moved = np.angle(after.amulor.signal.values / before.amulor.signal.values)
+    phase = np.median(moved, axis=(1, 2, 3))
+    error = common_error(after) / np.median(
+        np.abs(after.amulor.signal.values), axis=(1, 2, 3)
+    )
+    assert (np.abs(phase) > np.angle(turn)).all()
+    assert (np.abs(phase) < 1.5 * error).all()
+    # In equal channels the error is much smaller.
+    assert (common_error(before) < 0.5 * common_error(after)).all()
