@@ -232,7 +232,9 @@ class Instrument(Description):
     amplitude-dependent phase and harmonics [rad]. The default is 0.5 degrees for
     calibrated phases, three times as much without calibration, and six times as much
     without calibration at one frequency. If the leakage was measured, 0.4 degrees
-    replace 0.5. 0 means an instrument without such errors."""
+    replace 0.5. At one frequency no other phase tests a stated value: without a
+    calibration of the phases, it is multiplied by 2.2. 0 means an instrument without
+    such errors."""
     errors: InstrumentErrors | None = None
     """Instrument errors that simulated samples contain; none by default."""
 

@@ -227,6 +227,10 @@ PHASE_UNCERTAINTY_WITHOUT_LEAKAGE = math.radians(0.4)
 #: Errors of an instrument that was not calibrated over the typical ones, with several
 #: frequencies, and with one, whose phase no other contradicts [1].
 _UNCALIBRATED, _UNTESTED = 3.0, 6.0
+#: A stated phase error at one frequency, which no other phase tests, counts as reliable
+#: to 50 %. That is two degrees of freedom (ISO/IEC Guide 98-3, G.4.2): quantiles of
+#: 97.5 % of Student's distribution over the normal distribution [1].
+_STATED_UNTESTED = 4.303 / 1.960
 
 
 #: Default standard uncertainty of a recorded instrument temperature [degC].
@@ -255,11 +259,11 @@ def phase_uncertainty(
     `frequencies` is the number of modulation frequencies, by default of the survey.
     """
     stated = survey.instrument.phase_uncertainty
+    count = frequencies or len(survey.instrument.modulation_frequencies)
     if stated is not None:
-        return stated
-    factor = uncalibrated_factor(
-        frequencies or len(survey.instrument.modulation_frequencies)
-    )
+        untested = count == 1 and not phases_measured
+        return _STATED_UNTESTED * stated if untested else stated
+    factor = uncalibrated_factor(count)
     typical = TYPICAL_PHASE_UNCERTAINTY
     if leakage_measured:
         typical = PHASE_UNCERTAINTY_WITHOUT_LEAKAGE

@@ -552,7 +552,13 @@ def test_what_a_joint_estimation_counts_of_the_instrument_counts_once(target, te
 @pytest.mark.parametrize(
     ("stated", "calibrated", "degrees"),
     # Six times 0.5 degrees at one frequency without calibration.
-    [(None, {}, 3.0), (None, {"uncalibrated_share": 0.0}, 0.5), ("2 deg", {}, 2.0)],
+    [
+        (None, {}, 3.0),
+        (None, {"uncalibrated_share": 0.0}, 0.5),
+        # Student's quantile for two degrees of freedom over that of a normal one.
+        ("2 deg", {}, 2.0 * 4.30265 / 1.95996),
+        ("2 deg", {"uncalibrated_share": 0.0}, 2.0),
+    ],
 )
 def test_the_phases_of_an_instrument_are_uncertain(
     plate_text: str,
