@@ -68,6 +68,7 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
             "pointing": "Pointing",
             "clock": "Clock",
             "plume": "Plume",
+            "gradient": "Gradient",
             "bubbles": "Bubbles",
             "drift": "Drift",
             "optical_leakage": "OpticalLeakage",

@@ -16,6 +16,7 @@ from amulor.cube import tiles
 from amulor.errors import SurveyError
 from amulor.simulation import geometry as geometry_of
 from amulor.simulation import lock_in
+from amulor.simulation.gradient import with_gradient
 from amulor.simulation.instrument_errors import Chain
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.standing_reference import ReferenceReadings
@@ -124,6 +125,7 @@ class Setting:
         cls, survey: Survey, *, rng: np.random.Generator | int, model: SignalModel
     ) -> Setting:
         """Return the inputs for the simulation of a survey; see `simulate`."""
+        model = with_gradient(model, survey)
         moves = survey.platform is not None
         motion = VehicleMotion.of(survey, rng) if moves else None
         setup = geometry_of.Setup(survey, motion)

@@ -58,6 +58,18 @@ class Plume(Description):
     """Standard deviation of the profile over the azimuth [rad]."""
 
 
+class Gradient(Description):
+    """Water whose concentration changes in proportion to the distance.
+
+    Scan and references contain the same water. Absorption, scattering and backscatter
+    are multiplied by 1 + change * distance, and never become negative.
+    """
+
+    change_per_meter: Annotated[Fraction, Field(ge=-10, le=10)]
+    """Relative change of the concentration for each meter from the instrument on, along
+    the beam [1/m]."""
+
+
 class Bubbles(Description):
     """Bubbles that pass the beam, at random distances."""
 
@@ -266,6 +278,8 @@ class InstrumentErrors(Description):
     """Error of the modulation frequencies."""
     plume: Plume | None = None
     """Plume of turbid water across the scan."""
+    gradient: Gradient | None = None
+    """Water whose concentration changes with the distance."""
     bubbles: Bubbles | None = None
     """Bubbles in the beam."""
     drift: Drift | None = None

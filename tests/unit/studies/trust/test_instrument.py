@@ -59,6 +59,18 @@ def test_the_layer_adds_the_water_of_its_thickness(recorded: Recorded) -> None:
     assert shots is recorded.shots
 
 
+def test_water_with_a_gradient_adds_light_of_its_distance(recorded: Recorded) -> None:
+    scan, shots = instrument.gradient(0.1)(recorded)
+    water = recorded.truth("water")
+    more = (scan - recorded.scan) / water
+    # Most light comes from the first meter, and the light that is added from beyond.
+    assert 0.01 < np.abs(more).mean() < 0.2
+    assert np.angle(more[0]).mean() > 0
+    assert np.all(np.abs(shots).mean(axis=-1) > np.abs(recorded.shots).mean(axis=-1))
+    twice, _ = instrument.gradient(0.2)(recorded)
+    assert_allclose(twice - recorded.scan, 2 * (scan - recorded.scan), rtol=1e-9)
+
+
 def test_drift_ends_in_the_second_half_of_the_shots(recorded: Recorded) -> None:
     scan, shots = instrument.drift(delay=30e-12)(recorded)
     turn = np.angle(scan / recorded.scan)[:, 0]

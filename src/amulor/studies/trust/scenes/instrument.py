@@ -145,6 +145,42 @@ def turbid_layer(thickness: float, *, factor: float = 2.0) -> Effect:
     return effect
 
 
+#: Distances at which slices of water with a gradient begin [m].
+_SLICES = (0.4, 0.7, 1.0, 1.4, 1.8, 2.2, 2.6, 3.2, 4.0, 6.0)
+
+
+@lru_cache(maxsize=1)
+def _columns(count: int, seed: int) -> tuple[Complex, ...]:
+    """Return the water in front of plates at the limits of the slices [V]."""
+    return tuple(
+        _outputs(
+            simulate(survey(count, plate(end, size=4.0)), rng=seed), "truth_water_"
+        )
+        for end in _SLICES
+    )
+
+
+def gradient(change: float) -> Effect:
+    """Return a function for water whose backscatter changes per meter, by a fraction.
+
+    Scan and references contain the same water. Its attenuation does not change.
+    """
+
+    def effect(recorded: Recorded) -> tuple[Complex, Complex]:
+        columns = _columns(recorded.count, recorded.seed)
+        slices = np.diff(np.stack([0 * columns[0], *columns]), axis=0)
+        middle = np.array(_SLICES) - np.diff([0.0, *_SLICES]) / 2
+        more = change * middle.reshape(-1, 1, 1, 1, 1) * slices
+        seen = np.array(_SLICES) <= _DISTANCE
+        scan = recorded.scan + more[seen].sum(axis=0)
+        # References have the same part of more light as the middle of the scan.
+        part = (more.sum(axis=0) / columns[-1]).mean(axis=(2, 3))
+        mean = recorded.shots.mean(axis=-1)
+        return scan, recorded.shots + (part * mean)[..., None]
+
+    return effect
+
+
 def drift(*, degrees: float = 0.0, delay: float = 0.0) -> Effect:
     """Return a function that adds a linear drift of phase [degrees] or delay [s]."""
 
@@ -394,6 +430,12 @@ KINDS: dict[str, Kind] = {
         title="water twice as strong in the last 0.4 m, in the scan only",
         of_size=lambda size: turbid_layer(0.4, factor=1 + size),
         causes=("other water",),
+        is_phase=False,
+    ),
+    "gradient": Kind(
+        title="backscatter of the water 10 % larger with each meter",
+        of_size=lambda size: gradient(0.1 * size),
+        causes=("other water", "changes with the distance"),
         is_phase=False,
     ),
     "phase drift": Kind(
