@@ -25,6 +25,9 @@ LARGEST_CHANCE = 1e-4
 #: Attributes with the result of the test of all frequencies against one distance.
 FREQUENCY_PROBABILITY = "frequency_phase_probability"
 FREQUENCY_PHASES = "frequency_phase_rad"
+#: Attributes with the result of the test of the phases against the amplitude.
+AMPLITUDE_PROBABILITY = "amplitude_phase_probability"
+AMPLITUDE_PHASE = "amplitude_phase_rad"
 #: Attribute with the fraction of samples beyond the amplitudes of a calibration [1].
 UNCALIBRATED_SHARE = "uncalibrated_share"
 #: Attributes with the largest step of rounded outputs [V], and with the largest ratio

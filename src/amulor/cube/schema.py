@@ -626,6 +626,10 @@ INSTRUMENT_ATTRIBUTES = {
     "more frequencies from one optical path [1]",
     "frequency_phase_rad": "deviation of each frequency from the optical path of all; "
     "present if the probability is below 1e-4 [rad]",
+    "amplitude_phase_probability": "probability by chance of a phase step between "
+    "darker and brighter neighboring pixels [1]",
+    "amplitude_phase_rad": "phase of the brighter pixels minus phase of the darker "
+    "pixels; present if the probability is below 1e-4 [rad]",
     "output_step_volt": "largest step of outputs that are rounded coarsely [V]",
     "output_step_ratio": "largest ratio of the rounding error to the stated noise [1]",
     "uncalibrated_share": "fraction of the samples whose amplitude is beyond those of "

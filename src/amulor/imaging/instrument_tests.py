@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.cube.error import (
+    AMPLITUDE_PHASE,
+    AMPLITUDE_PROBABILITY,
     FREQUENCY_PHASES,
     FREQUENCY_PROBABILITY,
     LARGEST_CHANCE,
@@ -114,8 +116,8 @@ class InstrumentTest:
     """One failed test of the instrument, in words."""
 
     name: str
-    """Name: "references", "water", "channels", "frequencies", "drift", "methods",
-    "resolution" or "calibration"."""
+    """Name: "references", "water", "channels", "frequencies", "amplitude", "drift",
+    "methods", "resolution" or "calibration"."""
     result: str
     """Measured contradiction, with its size."""
     probability: float | None
@@ -139,8 +141,8 @@ _AMPLITUDE = "leakage, a phase that depends on the amplitude"
 def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
     """Return the failed tests of a target signal or range image."""
     tests = (
-        _references, _water, _channels, _frequencies, _drift, _methods, _resolution,
-        _calibration,
+        _references, _water, _channels, _frequencies, _step, _drift, _methods,
+        _resolution, _calibration,
     )  # fmt: skip
     results = (test(cube) for test in tests)
     return tuple(result for result in results if result is not None)
@@ -157,8 +159,8 @@ def _references(cube: xr.Dataset) -> InstrumentTest | None:
         name="references",
         result="no water explains the references and the scan",
         probability=None,
-        cause=f"{_AMPLITUDE}, an offset of the demodulator, or another position of the "
-        "receiver than in the survey",
+        cause=f"{_AMPLITUDE}, an offset of the demodulator, water that changes with "
+        "the distance, or another position of the receiver than in the survey",
         measurement=_LEAKAGE,
     )
 
@@ -250,6 +252,23 @@ def _frequencies(cube: xr.Dataset) -> InstrumentTest | None:
         probability=float(cube.attrs[FREQUENCY_PROBABILITY]),
         cause=cause,
         measurement=f"{_LEAKAGE}; calibrate the phase of each frequency with a plate",
+    )
+
+
+def _step(cube: xr.Dataset) -> InstrumentTest | None:
+    """Test whether neighbors of different brightness have phases of one distance."""
+    if AMPLITUDE_PHASE not in cube.attrs:
+        return None
+    step = float(cube.attrs[AMPLITUDE_PHASE])
+    return InstrumentTest(
+        name="amplitude",
+        result="the phases of brighter pixels differ from those of darker neighbors by "
+        f"{1e3 * step:+.3g} mrad",
+        probability=float(cube.attrs[AMPLITUDE_PROBABILITY]),
+        cause="a phase that depends on the amplitude, or a scale change of the "
+        "demodulator",
+        measurement="calibrate the phase against the amplitude with a plate and "
+        "filters, and hold the scale of the demodulator during the scan",
     )
 
 

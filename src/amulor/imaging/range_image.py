@@ -16,6 +16,7 @@ from amulor.cube.error import JOINT_OUTLIERS, instrument_phase
 from amulor.cube.schema import PIXEL_TESTS
 from amulor.cube.tiles import Span
 from amulor.imaging import budget
+from amulor.imaging.amplitude_phase import AmplitudePhase, amplitude_phase
 from amulor.imaging.common import with_flag
 from amulor.imaging.corners import Patches
 from amulor.imaging.instrument_tests import FrequencyPhase, frequency_phase
@@ -61,6 +62,8 @@ class RangeImageFit:
     """Surface patches with mutual illumination; None for a cube without such light."""
     phases: FrequencyPhase | None = None
     """Test of the phases of all frequencies; None with one frequency."""
+    steps: AmplitudePhase | None = None
+    """Test of the phases against the amplitude; None with one frequency."""
     path: PathFit | None = None
     """Statistics for optical paths; None after a joint estimation."""
     noise_scale: float = 1.0
@@ -164,6 +167,7 @@ def fitted_range_image(
     rescaled = None if fit is None else fit.rescaled
     factor = 1.0 if fit is None else fit.noise_scale
     phases = None if fit is None else fit.phases
+    steps = None if fit is None else fit.steps
     spread = None if fit is None else fit.spread
     if joint:
         ranges, of_ranges = ranges_of_joint(
@@ -191,10 +195,16 @@ def fitted_range_image(
         )
         if fit is None:
             phases = frequency_phase(observation, path)
+            steps = amplitude_phase(observation, path, weight=of_path.weight)
     samples = cube if joint else observation.channel
     readings = _readings(samples, of_ranges.weight)
-    if phases is not None and phases.is_real:
-        observation = observation.with_frequency_phase(phases.phase)
+    deviations = [] if phases is None or not phases.is_real else [phases.phase]
+    if steps is not None and steps.is_real:
+        # The darker or the brighter pixels may be right.
+        deviations.append(np.full(observation.frequency.size, steps.step))
+    if deviations:
+        size = np.linalg.norm(deviations, axis=0)
+        observation = observation.with_frequency_phase(size)
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
     patches = None if fit is None else fit.patches
@@ -206,8 +216,9 @@ def fitted_range_image(
         true = _in_order(samples, "truth_reading_slant_range")
         shares = np.tile(of_ranges.weight, len(true) // of_ranges.weight.size)
         image["truth_slant_range"].values = np.tensordot(shares / shares.sum(), true, 1)
-    if phases is not None:
-        image = image.assign_attrs(phases.attributes)
+    for test in (phases, steps):
+        if test is not None:
+            image = image.assign_attrs(test.attributes)
     reason = ""
     if interval is None:
         reason = unsettled_interval(
@@ -226,6 +237,7 @@ def fitted_range_image(
         late=late,
         patches=patches,
         phases=phases,
+        steps=steps,
         path=of_path,
         noise_scale=factor,
         rescaled=rescaled,

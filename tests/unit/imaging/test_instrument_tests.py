@@ -18,13 +18,21 @@ SHAPE = (8, 10)
 
 
 def _target(
-    turn: np.ndarray, *, noise: float = 1e-3, shared: float = 0.0, seed: int = 1
+    turn: np.ndarray,
+    *,
+    noise: float = 1e-3,
+    shared: float = 0.0,
+    seed: int = 1,
+    pixels: np.ndarray | float = 1.0,
 ) -> xr.Dataset:
-    """Target signal of a wall at 1.2 m in air, each frequency turned by an angle."""
+    """Target signal of a wall at 1.2 m in air, each frequency turned by an angle.
+
+    `pixels` are factors of the signal of each pixel.
+    """
     rng = np.random.default_rng(seed)
     phase = 4 * np.pi * FREQUENCY * 1.2 / speed_of_light + turn
     shape = (4, 1, *SHAPE)
-    signal = np.exp(1j * phase)[:, None, None, None] + noise * (
+    signal = np.exp(1j * phase)[:, None, None, None] * pixels + noise * (
         rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     )
     total = np.full(shape, np.hypot(noise, shared))
@@ -279,3 +287,70 @@ def test_a_measurement_without_any_calibration_is_named() -> None:
     assert instrument_tests(measured.assign_attrs(survey=stated.to_toml())) == ()
     calibrated = measured.assign_attrs(survey=unstated.to_toml(), calibration="a table")
     assert instrument_tests(calibrated) == ()
+
+
+#: Reflectances of stripes two pixels wide, whose edges lie within pairs of neighbors.
+STRIPES = np.where((np.arange(10) + 1) // 2 % 2, 1.0, 0.25) * np.ones(SHAPE)
+
+
+def test_a_phase_that_depends_on_the_amplitude_shows_at_edges_of_reflectance() -> None:
+    degrees = 0.5
+    walk = np.exp(1j * np.radians(degrees) * np.log10(STRIPES))
+    image = imaging.range_image(
+        _target(np.zeros(4), pixels=STRIPES * walk, noise=3e-4), interval=(0.5, 2.0)
+    )
+    # Bright pixels less dark pixels, four times darker.
+    expected = np.radians(degrees) * np.log10(4)
+    # Pairs beside an edge count as across it, too, so that the step is a lower bound.
+    assert 0.4 * expected < image.attrs["amplitude_phase_rad"] < 1.05 * expected
+    assert image.attrs["amplitude_phase_probability"] < 1e-6
+    tests = {test.name: test for test in instrument_tests(image)}
+    assert "mrad" in tests["amplitude"].result
+    assert "depends on the amplitude" in tests["amplitude"].cause
+    assert "filters" in tests["amplitude"].measurement
+    # Errors of dark and bright pixels differ by the walk; either may be right.
+    plain = imaging.range_image(
+        _target(np.zeros(4), pixels=STRIPES, noise=3e-4), interval=(0.5, 2.0)
+    )
+    error = image["slant_range"] - plain["slant_range"]
+    interval = 1.96 * image["slant_range_uncertainty"]
+    assert np.isfinite(error).mean() > 0.9
+    assert (np.abs(error) < interval).sum() == np.isfinite(error).sum()
+    assert "amplitude_phase_rad" not in plain.attrs
+
+
+def test_edges_of_depth_and_smooth_phases_are_no_step_at_an_amplitude() -> None:
+    # Bright stripes are 5 cm nearer, so that each frequency turns by its own angle.
+    nearer = 4 * np.pi * FREQUENCY * 0.05 / speed_of_light
+    stripes = STRIPES * np.exp(
+        -1j * nearer[:, None, None, None] * (STRIPES.max() == STRIPES)
+    )
+    # A smooth change of the phases across the image, as by late light.
+    smooth = np.exp(0.02j * np.linspace(0, 1, 10)) * STRIPES
+    for pixels in (stripes, smooth):
+        image = imaging.range_image(
+            _target(np.zeros(4), pixels=pixels), interval=(0.5, 2.0)
+        )
+        assert image.attrs["amplitude_phase_probability"] > 1e-3
+
+
+def test_errors_that_pixels_share_are_no_step_at_an_amplitude() -> None:
+    """Water left in the scan turns dark pixels more; its stated error explains that."""
+    left = 0.004 * np.exp(2j * np.pi * np.array([0.1, 0.4, 0.7, 0.9]))
+    pixels = STRIPES + left[:, None, None, None]
+    for shared, real in ((0.004, False), (0.0, True)):
+        target = _target(np.zeros(4), pixels=pixels, shared=shared, noise=1e-4)
+        image = imaging.range_image(target, interval=(0.5, 2.0))
+        assert ("amplitude_phase_rad" in image.attrs) is real
+
+
+def test_perfect_scans_fail_the_test_of_the_amplitude_as_often_as_chance() -> None:
+    chances = [
+        imaging.range_image(
+            _target(np.zeros(4), seed=seed, pixels=STRIPES), interval=(0.5, 2.0)
+        ).attrs["amplitude_phase_probability"]
+        for seed in range(40)
+    ]
+    # Bonferroni's correction makes the chances too large, never too small.
+    assert np.mean(np.array(chances) < 0.1) < 0.2
+    assert min(chances) > 1e-4
