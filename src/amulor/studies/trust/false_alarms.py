@@ -19,7 +19,7 @@ from amulor.studies.trust.surveys import plate, stairs, survey
 from amulor.studies.trust.table import resumed, score
 
 #: Number of scans in the table; from `_STRIPED` on, dark and bright stripes alternate.
-SCANS = 400
+SCANS = 300
 _STRIPED = 300
 #: Width of a stripe [m], number of stripes, and dark over bright reflectance [1].
 _STRIPE, _STRIPES, _DARK = 0.045, 16, 0.25
