@@ -211,7 +211,9 @@ def scene_light(
 
 def _fitted(survey: Survey, model: SignalModel) -> SignalModel:
     """Return the model, fitted to the whole course if it supports a fit."""
-    return fit(Setting.of(survey, rng=0, model=model))
+    # Simulated devices have no errors of the survey.
+    perfect = survey.with_({"instrument.errors": None})
+    return fit(Setting.of(perfect, rng=0, model=model))
 
 
 def _with_target(
