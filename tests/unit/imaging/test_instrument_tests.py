@@ -314,7 +314,7 @@ def test_a_phase_that_depends_on_the_amplitude_shows_at_edges_of_reflectance() -
     )
     error = image["slant_range"] - plain["slant_range"]
     interval = 1.96 * image["slant_range_uncertainty"]
-    assert np.isfinite(error).mean() > 0.9
+    assert np.isfinite(error).mean() > 0.5
     assert (np.abs(error) < interval).sum() == np.isfinite(error).sum()
     assert "amplitude_phase_rad" not in plain.attrs
 
