@@ -72,7 +72,7 @@ def test_the_slope_of_a_channel_against_another() -> None:
     off = np.array([1, -1, 1, -1]) * 0.01
     for across, error in ((0.2, 0.02), (0.0, 0.01 * np.sqrt(4 / 3) / 2 / 10)):
         second = (2.5 + off + 1j * across) * np.exp(0.7j)
-        value, uncertainty = _line(first, second)
+        value, uncertainty, _ = _line(first, second)
         assert value == pytest.approx(0.25, rel=1e-12)
         assert uncertainty == pytest.approx(
             np.hypot(error, 0.01 * np.sqrt(4 / 3) / 20 if across else 0), rel=1e-9
