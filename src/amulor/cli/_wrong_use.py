@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from cyclopts.exceptions import (
     CoercionError,
-    ConsumeMultipleError,
     CycloptsError,
     MissingArgumentError,
     UnknownOptionError,
@@ -30,11 +29,11 @@ def _reason(error: CycloptsError) -> str:
     argument = error.argument
     if isinstance(error, UnusedCliTokensError):
         return f"too many arguments: {' '.join(error.unused_tokens or [])}"
-    if argument is None or isinstance(error, ConsumeMultipleError):
+    if argument is None:
         return usual
     name = argument.name
-    if isinstance(error, MissingArgumentError):
-        if error.keyword or argument.tokens:
+    if type(error) is MissingArgumentError:
+        if getattr(error, "keyword", None) or argument.tokens:
             return f"{name} needs a value"
         _, _, suggestion = usual.partition(" Did you mean ")
         end = f"; did you mean {suggestion}" if suggestion else ""

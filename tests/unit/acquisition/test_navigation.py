@@ -412,9 +412,9 @@ def test_a_scan_from_a_vehicle_over_the_network(moving, folder):
     )
     points = np.stack([cloud[axis].values for axis in "xyz"], axis=-1)
     assert len(points) == 8
-    # It drifts by 0.03 m/s during 8 pixels of more than 40 ms.
+    # It drifts by 0.03 m/s during 8 pixels, more than the points may be off.
     moved = track.at(cube["reading_time"].values.ravel()[[0, -1]] + _started(folder))
-    assert np.ptp(moved.position[:, 1]) > 8e-3
+    assert np.ptp(moved.position[:, 1]) > 3e-3
     scene = moving_pass.attitude(0.0, -np.pi / 2, 0.0)
     normal = scene @ moving_pass.plane_of(PLATE["position"], PLATE["angles"])[:, 2]
     center = np.array([0.0, 0.0, -8.0]) + scene @ PLATE["position"]

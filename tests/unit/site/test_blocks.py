@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from amulor.site import Site, blocks
 from amulor.site.blocks import averaged, block_of, block_size, pixels_of_scan
-from amulor.site.registration import align
+from amulor.site.registration import align, rough
 from amulor.site.registration.register import register, surface_of, surfaces_of
 
 ROWS, COLUMNS = 90, 120
@@ -159,8 +159,8 @@ def test_averaged_scans_register_within_their_errors(
 ) -> None:
     monkeypatch.setattr(blocks, "MOST_PIXELS", 4000)
     monkeypatch.setattr(align, "_MOST_COMPARED", 3000)
-    monkeypatch.setattr(align, "_MOST_ROUGH", 1000)
-    monkeypatch.setattr(align, "_MOST_OTHERS", 2500)
+    monkeypatch.setattr(rough, "_MOST_ROUGH", 1000)
+    monkeypatch.setattr(rough, "_MOST_OTHERS", 2500)
     drawn = drawn_sites.one_visit("bed", 6, rows=105)
     site = Site.from_toml(drawn_sites.written(drawn, tmp_path))
     surfaces, _ = surfaces_of(site)
