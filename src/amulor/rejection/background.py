@@ -130,7 +130,9 @@ def background(
         Open-water shots are ignored.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m].
-    column_uncertainty, put_back
+    column_uncertainty : float, optional
+        As in `amulor.rejection.open_water` [1].
+    put_back : bool
         As in `amulor.rejection.open_water`.
 
     Returns
