@@ -18,11 +18,8 @@ from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.surveys import plate, stairs, survey
 from amulor.studies.trust.table import resumed, score
 
-#: Number of scans in the table; from `_STRIPED` on, dark and bright stripes alternate.
+#: Number of scans in the table.
 SCANS = 300
-_STRIPED = 300
-#: Width of a stripe [m], number of stripes, and dark over bright reflectance [1].
-_STRIPE, _STRIPES, _DARK = 0.045, 16, 0.25
 METHODS = ("open-water", "combined", "polarization", "joint")
 #: Methods and numbers of frequencies, in turn; joint estimation needs two.
 TURNS = [
@@ -45,7 +42,7 @@ class Scene:
     water: str
     """Name of the water."""
     target: str
-    """Kind of target: "plate", "stairs" or "stripes"."""
+    """Kind of target: "plate" or "stairs"."""
     distance: float
     """Distance of the target [m]."""
     count: int
@@ -76,11 +73,10 @@ def scene(number: int) -> Scene:
     rng = np.random.default_rng([39, number])
     water = str(rng.choice(list(_DISTANCES)))
     method, count = TURNS[number % len(TURNS)]
-    target = str(rng.choice(["plate", "stairs"]))
     return Scene(
         number=number,
         water=water,
-        target=target if number < _STRIPED else "stripes",
+        target=str(rng.choice(["plate", "stairs"])),
         distance=round(float(rng.uniform(*_DISTANCES[water])), 2),
         count=count,
         method=method,
@@ -91,24 +87,13 @@ def case(chosen: Scene) -> Case:
     """Simulate a scan by a perfect instrument, with a correct survey."""
     rng = np.random.default_rng([40, chosen.number])
     reflectance = round(float(np.exp(rng.uniform(np.log(0.05), np.log(0.6)))), 3)
-    targets = []
-    if chosen.target == "stripes":
-        targets = [
-            plate(
-                chosen.distance,
-                width=_STRIPE,
-                right=_STRIPE * (place - _STRIPES / 2),
-                reflectance=reflectance * (_DARK if place % 2 else 1),
-            )
-            for place in range(_STRIPES)
-        ]
-    elif chosen.target == "plate":
+    if chosen.target == "plate":
         lean = round(float(rng.uniform(-30, 30)), 1)
-        targets = [plate(chosen.distance, lean=lean, reflectance=reflectance)]
+        target = plate(chosen.distance, lean=lean, reflectance=reflectance)
     else:
-        targets = [stairs(chosen.distance, reflectance=reflectance, tread=0.05)]
+        target = stairs(chosen.distance, reflectance=reflectance, tread=0.05)
     planned = survey(
-        chosen.count, *targets, water=chosen.water, columns=_COLUMNS, rows=_ROWS
+        chosen.count, target, water=chosen.water, columns=_COLUMNS, rows=_ROWS
     )
     return case_of(simulate(planned, rng=rng), interval=around(chosen.distance))
 

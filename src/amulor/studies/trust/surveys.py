@@ -91,23 +91,12 @@ _UNITS = {
 
 
 def plate(
-    distance: float,
-    *,
-    lean: float = 0.0,
-    reflectance: float = 0.1,
-    size: float = 2.0,
-    width: float | None = None,
-    right: float = 0.0,
+    distance: float, *, lean: float = 0.0, reflectance: float = 0.1, size: float = 2.0
 ) -> str:
-    """Return TOML text of a plate, rotated by `lean` degrees about the vertical.
-
-    Height and default width are `size`; `right` is the place of its middle.
-    """
+    """Return TOML text of a plate, rotated by `lean` degrees about the vertical."""
     return (
-        f'[[targets]]\nkind = "plate"\n'
-        f'position = ["{right:g} m", "0 m", "{distance} m"]\n'
-        f'rotation = ["0 deg", "{lean} deg", "0 deg"]\n'
-        f'width = "{size if width is None else width} m"\n'
+        f'[[targets]]\nkind = "plate"\nposition = ["0 m", "0 m", "{distance} m"]\n'
+        f'rotation = ["0 deg", "{lean} deg", "0 deg"]\nwidth = "{size} m"\n'
         f'height = "{size} m"\nreflectance = {reflectance}'
     )
 
