@@ -22,6 +22,7 @@ from amulor.acquisition.navigation import (
 )
 from amulor.acquisition.plan import Key
 from amulor.errors import AmulorError
+from amulor.optics import rays
 from amulor.platform import instrument_poses
 from amulor.survey import Survey
 from amulor.survey.course import planned, planned_spacing, planned_track
@@ -55,14 +56,7 @@ class Coverage:
         shape = (survey.scan.rows, survey.scan.columns)
         self._sum, self._count = np.zeros(shape), np.zeros(shape)
         azimuth, elevation, _ = scan_directions(survey)
-        self._beams = np.stack(
-            [
-                np.sin(azimuth) * np.cos(elevation),
-                -np.sin(elevation),
-                np.cos(azimuth) * np.cos(elevation),
-            ],
-            axis=-1,
-        )
+        self._beams = rays.direction(azimuth, elevation)
         self._next = -np.inf
         self._seen: tuple[int, float] | None = None
         #: Number of the newest state [1].
