@@ -62,6 +62,28 @@ def folder() -> Iterator[Path]:
     shutil.rmtree(place, ignore_errors=True)
 
 
+def recorded(
+    survey: Survey,
+    folder: Path,
+    progress: Callable[[acquisition.Progress], None],
+    **procedure: float,
+) -> threading.Thread:
+    """Start a simulated scan in a thread; return it once there is a journal."""
+    thread = threading.Thread(
+        target=acquisition.acquire,
+        args=(survey, folder),
+        kwargs={
+            "settings": Settings.model_validate({"procedure": procedure}),
+            "scene": simulation.scene_light,
+            "progress": progress,
+        },
+    )
+    thread.start()
+    while not (folder / FILE_NAME).exists():
+        time.sleep(0.05)
+    return thread
+
+
 def test_a_scan_grows_while_the_page_is_open(
     tab: Callable[..., Any], plate: Survey, folder: Path
 ) -> None:
@@ -84,18 +106,7 @@ def test_a_scan_grows_while_the_page_is_open(
         if now.done > 90:
             time.sleep(0.03)
 
-    thread = threading.Thread(
-        target=acquisition.acquire,
-        args=(survey, folder),
-        kwargs={
-            "settings": Settings.model_validate({"procedure": {"dark_readings": 2}}),
-            "scene": simulation.scene_light,
-            "progress": slowly,
-        },
-    )
-    thread.start()
-    while not (folder / FILE_NAME).exists():
-        time.sleep(0.05)
+    thread = recorded(survey, folder, slowly, dark_readings=2)
     live = page.Live(folder)
     try:
         one = tab()
@@ -243,19 +254,7 @@ def test_track_and_coverage_of_a_vehicle_are_shown_while_it_drives(
         if now.done > now.total - 20:
             go_on.wait(300)
 
-    settings = {"dark_readings": 2, "settling": 20}
-    thread = threading.Thread(
-        target=acquisition.acquire,
-        args=(survey, folder),
-        kwargs={
-            "settings": Settings.model_validate({"procedure": settings}),
-            "scene": simulation.scene_light,
-            "progress": slowly,
-        },
-    )
-    thread.start()
-    while not (folder / FILE_NAME).exists():
-        time.sleep(0.05)
+    thread = recorded(survey, folder, slowly, dark_readings=2, settling=20)
     live = page.Live(folder)
     try:
         one = tab()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,6 +25,15 @@ with warnings.catch_warnings():
 
 TOKEN = "a-token-for-tests"
 BASE = "http://127.0.0.1:8000"
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """Return the folder of a scan, in memory where that is possible."""
+    memory = Path("/dev/shm")
+    place = tempfile.mkdtemp(dir=memory if memory.is_dir() else None)
+    yield Path(place) / "scan"
+    shutil.rmtree(place)
 
 
 @pytest.fixture(scope="session")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +24,6 @@ from amulor.view.page.coverage import Coverage
 TOKEN = "a-token-for-tests"
 light = functools.partial(simulation.scene_light, model=simulation.ClosureModel())
 SPEED, SPAN, COLUMNS, DISTANCE = 0.5, 0.1, 15, 2.0
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    memory = Path("/dev/shm")
-    place = tempfile.mkdtemp(dir=memory if memory.is_dir() else None)
-    yield Path(place) / "scan"
-    shutil.rmtree(place)
 
 
 @pytest.fixture(scope="module")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 import struct
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -35,14 +33,6 @@ from amulor.view.page.progress import Change, Drift, Going, Progress, advice
 
 TOKEN = "a-token-for-tests"
 OWN = {"host": "127.0.0.1:8000", "origin": "http://127.0.0.1:8000"}
-
-
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    memory = Path("/dev/shm")
-    place = tempfile.mkdtemp(dir=memory if memory.is_dir() else None)
-    yield Path(place) / "scan"
-    shutil.rmtree(place)
 
 
 @pytest.fixture(scope="module")
