@@ -58,7 +58,7 @@ class Counts:
     slowest: float = 0.0
     """Processor time of a case [s]."""
     memory: int = 0
-    """What was added to the memory of the process, at its highest [bytes]."""
+    """Largest memory that the cases added to the process [bytes]."""
 
 
 def fed(
