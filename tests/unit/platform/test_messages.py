@@ -115,6 +115,14 @@ def test_a_gap_is_named_and_a_clock_that_steps_ahead_is_suspected():
     )
 
 
+def test_two_poses_are_enough_and_an_interval_as_long_as_the_gap_is_none():
+    track = _read(_messages([0.0, 0.5, 0.5]), longest_gap=0.5)
+    assert track.time.tolist() == [0.0, 0.5]
+    assert track.remarks == ("1 repeated message left out",)
+    with pytest.raises(FormatError, match="holds one pose only, repeated"):
+        _read(_messages([0.5, 0.5, 0.5]))
+
+
 def test_a_clock_that_steps_by_less_than_a_gap_moves_positions():
     track = _read(_messages(np.where(TIME < 4, TIME, TIME + 0.35), TIME))
     assert track.remarks[0].startswith("the speed changes in 1 long interval, first")

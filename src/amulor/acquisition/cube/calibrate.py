@@ -518,7 +518,7 @@ def from_plates(
         _plate_sums(cube, length)
         for cube, length in zip(plates, distances, strict=True)
     ]
-    mean, error = (np.array([values[k] for values in sums]) for k in (0, 1))
+    mean, error, path = (np.array([values[k] for values in sums]) for k in (0, 1, 2))
     first = plates[0]
     before = applied(plates)
     entries, leakage, rest = [], [*before.get("leakage", ())], []
@@ -551,10 +551,15 @@ def from_plates(
             ):
                 if fit is not None:
                     stray[:, number, at] = fit[3:]
-                    leakage = _with_leakage(leakage, float(frequency), name, *fit[3:])
+                    turn = path[0, number, at]
+                    leakage = _with_leakage(
+                        leakage, float(frequency), name, fit[3] / turn,
+                        fit[4] / abs(turn),
+                    )  # fmt: skip
             fitted = fits[strongest]
             assert fitted is not None
-            signal = signal - fitted[3]
+            turns = path[:, number, strongest]
+            signal = signal - fitted[3] * turns / turns[0]
             entry = _table_of(float(frequency), *fitted[:3])
         entries.append(entry)
         rest.append(_rest(entry, signal[~first_distance]))
@@ -746,17 +751,20 @@ def _with_leakage(
     ]
 
 
-def _plate_sums(cube: xr.Dataset, distance: float) -> tuple[Complex, Floats]:
+def _plate_sums(cube: xr.Dataset, distance: float) -> tuple[Complex, Floats, Complex]:
     """Return the plate's mean signal, path phase removed, and its uncertainty [V].
 
-    Shape (frequency, polarization) [V]; NaN in a channel without a usable pixel.
+    The third array is the mean factor that removes the phase of the path. A leakage has
+    no path: it appears in the mean signal times this factor. Shape (frequency,
+    polarization); NaN in a channel without a usable pixel.
     """
     _refuse(cube)
     middle = _middle(cube)
     signal = _plate_signal(middle)
     path = _optical_path(middle, distance)
     frequency = cube["modulation_frequency"].values[:, None, None, None]
-    turned = signal * np.exp(-2j * np.pi * frequency * path / speed_of_light)
+    turn = np.exp(-2j * np.pi * frequency * path / speed_of_light)
+    turned = signal * turn
     usable = (middle["quality_flag"].values & cubes.UNUSABLE) == 0
     usable &= np.isfinite(turned)
     variance = _across(turned, signal, middle, "")
@@ -766,19 +774,21 @@ def _plate_sums(cube: xr.Dataset, distance: float) -> tuple[Complex, Floats]:
         else np.zeros(signal.shape)
     )
     mean = np.full(signal.shape[:2], complex(np.nan, np.nan))
-    error = np.full(signal.shape[:2], np.nan)
+    factor, error = mean.copy(), np.full(signal.shape[:2], np.nan)
+    turn = np.broadcast_to(turn, signal.shape)
     for at in np.ndindex(mean.shape):
         values = turned[at][usable[at]]
         if values.size == 0:
             continue
         mean[at] = values.mean()
+        factor[at] = turn[at][usable[at]].mean()
         alone = np.mean(np.maximum(variance[at] - shared[at], 0.0)[usable[at]])
         # Scatter across the mean phasor turns its phase.
         rest = (values * np.exp(-1j * np.angle(mean[at]))).imag
         scatter = rest.var(ddof=1) if values.size > 1 else 0.0
         common = np.mean(shared[at][usable[at]])
         error[at] = math.sqrt(max(alone, scatter) / values.size + common)
-    return mean, error
+    return mean, error, factor
 
 
 def _across(turned: Complex, signal: Complex, cube: xr.Dataset, prefix: str) -> Floats:

@@ -200,7 +200,7 @@ def test_distances_show_the_error_by_frequency(clear) -> None:
     assert max(before) < 1.5e-3
 
 
-@pytest.mark.parametrize("leak", [0.0, 1.0])
+@pytest.mark.parametrize("leak", [0.0, 1.0, 300.0])
 def test_filters_tell_leakage_from_walk(clear, leak) -> None:
     densities = [0.0, 0.5, 1.0, 1.5]
     plates = [
@@ -219,6 +219,23 @@ def test_filters_tell_leakage_from_walk(clear, leak) -> None:
         error = np.hypot(*np.array(entry.phase_uncertainties)[[0, -1]]) / 1.5
         assert abs(slope - 0.05) < 4.5 * error
         assert abs(entry.phases[-1] - zero) < 4.5 * entry.phase_uncertainties[-1]
+
+
+def test_leakage_by_filters_is_subtracted_from_further_distances(clear) -> None:
+    densities, distances = [0.0, 0.5, 1.0, 0.0, 0.0], [1.2, 1.2, 1.2, 1.6, 2.0]
+
+    def errors(leak: float) -> list[float]:
+        """Return the phase errors by frequency of plates with the same noise."""
+        plates = [
+            plate_at(clear, distance, power=10**-density, leak=leak, seed=7)
+            for density, distance in zip(densities, distances, strict=True)
+        ]
+        table = from_plates(plates, distance=distances, densities=densities)
+        return [entry.phase_uncertainties[-1] for entry in table.frequencies]
+
+    # Left in, or subtracted with the wrong sign, the leakage turns the phases of the
+    # further distances differently at each frequency.
+    assert_allclose(errors(30.0), errors(0.0), rtol=0.05)
 
 
 def test_filters_have_their_transmissions(clear) -> None:

@@ -155,6 +155,12 @@ def test_dark_readings_contain_the_offset(blank: xr.Dataset) -> None:
     # The scatter of 32 samples of 10 uV leaves 2 uV.
     assert_allclose(complex(*alone.offset), OFFSET, rtol=0, atol=1e-5)
     assert alone.quadrature_gain_uncertainty is None
+    # The error of the dark output adds in squares: two channels of 30 uV.
+    uncertain = subtracted.assign_attrs(dark_uncertainty=np.full(4, 3e-5))
+    stated = from_terminated(uncertain).demodulator[0].offset_uncertainty
+    assert_allclose(
+        stated, np.hypot(alone.offset_uncertainty, 3e-5 / np.sqrt(2)), rtol=1e-9
+    )
     scan = subtracted.assign_attrs(shutter="open")
     result = calibrated(scan, from_terminated(subtracted))
     assert_allclose(result["in_phase"], scan["in_phase"], rtol=0, atol=1e-15)

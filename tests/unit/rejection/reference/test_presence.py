@@ -51,6 +51,18 @@ def test_a_departure_of_the_water_counts_as_an_error_that_samples_share(
     assert_allclose(found, rest @ np.linalg.solve(whole, rest), rtol=1e-9)
 
 
+def test_saturated_samples_say_nothing_about_a_target() -> None:
+    left, water, _, errors = _drawn(3)
+    first = np.arange(SAMPLES) < 1
+    problem = _problem(left, water, errors, np.arange(SAMPLES), first[:, None])
+    parts = (part[1:] for part in (errors.in_phase, errors.quadrature, errors.cross))
+    without = _problem(
+        left[1:], water[1:], Covariance(*parts), np.arange(1, SAMPLES), None
+    )
+    share = np.array([0.3 + 0j])
+    assert_allclose(problem.misfit(share), without.misfit(share), rtol=1e-12)
+
+
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0, 0.5))
 def test_what_no_cut_can_undercut_is_below_each_of_them(
     seed: int, share: float
