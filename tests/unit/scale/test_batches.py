@@ -97,12 +97,15 @@ def test_what_is_whole_is_kept_and_the_rest_made(tmp_path: Path) -> None:
         damaged[len(damaged) // 2] ^= 1
         paths[3].write_bytes(damaged)
         paths[5].unlink()
+        unfinished = paths[5].with_name(".amulor-unfinished")
+        unfinished.touch()
         again = followed(spread, histories=64)
         after = {path: path.stat().st_mtime_ns for path in paths}
         assert bytes_of(again) == bytes_of(first)
         assert paths[3].read_bytes() == content
         made = [k for k, path in enumerate(paths) if after[path] != before[path]]
         assert made == [3, 5]
+        assert not unfinished.exists()
         # Batches of other random numbers are others.
         other = followed(spread, histories=64, seed=2)
         assert bytes_of(other) == bytes_of(followed(None, histories=64, seed=2))

@@ -117,6 +117,16 @@ def test_each_reading_is_rendered_from_where_the_instrument_was_then(plate, name
     assert np.ptp(ranges, axis=(0, 1)).min() > 1e-5
 
 
+def test_simulated_devices_on_a_vehicle_have_the_directions_of_the_scan(plate):
+    light = simulation.scene_light(_survey(plate, _course("line")), model=MODEL)
+    azimuth, elevation = np.meshgrid(np.linspace(-0.05, 0.05, 5), [0.01, 0.01 / 3])
+    for scanned, expected in (
+        (light.with_target.azimuth.reshape(4, 5)[:2], azimuth),
+        (light.with_target.elevation.reshape(4, 5)[:2], elevation),
+    ):
+        np.testing.assert_allclose(scanned, expected, rtol=0, atol=1e-12)
+
+
 def test_the_light_of_a_reading_is_that_of_an_instrument_that_stands_there(plate):
     """The plate is moved into the axes of the instrument at one reading."""
     survey = _survey(plate, _course("orbit"))
