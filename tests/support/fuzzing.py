@@ -20,7 +20,7 @@ from amulor.errors import AmulorError
 
 #: What one case may take of the processor [s]; a hang takes more.
 LONGEST = 10.0
-#: What a campaign may add to the memory of its process, at its highest [bytes].
+#: What a case may add to the memory of its process, at its highest [bytes].
 MOST_MEMORY = 500_000_000
 #: What a text of refusal may have; a page of numbers is no message.
 _LONGEST_LINE = 1_000
@@ -58,7 +58,7 @@ class Counts:
     slowest: float = 0.0
     """Processor time of a case [s]."""
     memory: int = 0
-    """Largest memory that the cases added to the process [bytes]."""
+    """Largest memory that a case added to the process [bytes]."""
 
 
 def fed(
@@ -142,9 +142,6 @@ def campaign(reader: Reader, folder: Path, seeds: range) -> Counts:
         that are no line, late, or in what `judge` refuses.
     """
     counts = Counts()
-    with contextlib.suppress(OSError):  # Linux: the highest memory counts anew
-        Path("/proc/self/clear_refs").write_text("5")
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for seed in seeds:
         rng = random.Random(seed)
         name = rng.choice(sorted(reader.files))
@@ -153,11 +150,15 @@ def campaign(reader: Reader, folder: Path, seeds: range) -> Counts:
             warnings.simplefilter("ignore")  # numbers that do not fit, on purpose
             for _ in range(rng.choice((1, 1, 1, 2, 5))):
                 content = rng.choice(reader.mutations)(content, rng)
+        with contextlib.suppress(OSError):  # Linux: the highest memory counts anew
+            Path("/proc/self/clear_refs").write_text("5")
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         accepted, taken = fed(reader, folder, name, content, f"{name}, seed {seed}")
+        more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
         counts.accepted += accepted
         counts.refused += not accepted
         counts.slowest = max(counts.slowest, taken)
-    # Linux tells kilobytes.
-    counts.memory = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+        # Linux tells kilobytes.
+        counts.memory = max(counts.memory, 1024 * more)
     assert counts.memory < MOST_MEMORY, counts
     return counts
