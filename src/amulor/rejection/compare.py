@@ -10,21 +10,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.constants import speed_of_light
-from scipy.special import chdtri
 
 from amulor import cube as cubes
 from amulor._progress import part, tell
 from amulor.cube import UNUSABLE, QualityFlag, WaterResidualCause, tiles
-from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels, instrument_phase
+from amulor.cube.error import JOINT_OUTLIERS, flags_of_pixels
 from amulor.errors import AmulorError, CubeError
-from amulor.optics import ambiguity, detection, ranging
-from amulor.optics._geometry import Geometry
-from amulor.optics._mixed_beam import mixed_beams
+from amulor.optics import ambiguity, ranging
 from amulor.rejection.channels import CROSS_POLARIZED, PARTNERS
+from amulor.rejection.expected_errors import (
+    errors_of,
+    instrument_error,
+    repeated_path,
+)
 from amulor.rejection.methods import Method, compared_methods, load, method
-from amulor.rejection.observation import Observation
-from amulor.survey.view import medium_of
 
 Floats = NDArray[np.float64]
 Interval = tuple[float, float] | None
@@ -35,8 +34,6 @@ _USES_ENOUGH = 0.9
 _HARDLY_ANY = 0.03
 #: A joint estimation that trusts fewer pixels is tried without the shots [1].
 _FEW = 0.8
-#: Frequencies that disagree by more than this chance do not agree [1].
-_DISAGREEMENT = 1e-4
 #: Ranges of two methods disagree where they differ by more of their errors [1].
 _DISAGREE = 4.0
 #: Pixels that two methods must both trust to be compared.
@@ -462,18 +459,21 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
     agree = np.zeros(usable.shape, dtype=bool)
     path = np.full(usable.shape, np.nan)
     if usable.any():
-        errors = _errors(target, usable, excluded)
+        errors = errors_of(target, usable, excluded, interval=interval)
         noises, biases = errors.noise, errors.bias
         agree[usable], path[usable] = errors.agree, errors.path
-        own_noise = float(np.median(errors.own_noise)) if noises.size else math.nan
+        settled = ~np.isnan(noises)
         flag = flag.copy()
         flag[usable] |= np.where(errors.mixed, np.int16(QualityFlag.MIXED), 0)
+        flag[usable] |= np.where(errors.in_corner, np.int16(QualityFlag.CORNER), 0)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         # A few pixels with unknown bias have a flag, and are counted there.
         clear = flag[usable] == 0
         counted = biases[clear] if clear.any() else biases
         bias = float(np.sqrt(np.mean(counted**2)))
-        noise = float(np.median(noises)) if noises.size else float("nan")
+        if settled.any():
+            noise = float(np.median(noises[settled]))
+            own_noise = float(np.median(errors.own_noise[settled]))
         if water_is_in or not np.isfinite(bias):
             bias = float("inf")
             caution = Caution.BIAS_UNKNOWN
@@ -499,7 +499,7 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         polarization=target.amulor.polarizations[0],
         bias=bias,
         noise=noise,
-        instrument=_instrument_error(target),
+        instrument=instrument_error(target),
         usable=float(usable.mean()),
         flagged=float((flag != 0).mean()),
         trusted=float(trusted.mean()),
@@ -507,20 +507,6 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         note=note,
     )
     return _Trial(row=row, path=np.where(trusted, path, np.nan), own_noise=own_noise)
-
-
-def _instrument_error(target: xr.Dataset) -> float:
-    """Return the range error from instrument phase errors [m].
-
-    The frequencies are weighted by their squares, as those of equal phase noise.
-    """
-    frequency = target["modulation_frequency"].values
-    weight = frequency**2 / np.sum(frequency**2)
-    to_range = ranging.range_per_phase(
-        frequency, group_index=float(target["geometry"].attrs["group_index"])
-    )
-    phase = instrument_phase(target, target.amulor.survey)
-    return float(np.linalg.norm(weight * to_range * phase))
 
 
 def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -538,132 +524,6 @@ def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         for right in range(3)
     )
     return np.asarray(around > mask)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Errors:
-    """Range errors of the usable pixels of a method."""
-
-    noise: Floats
-    """Standard uncertainty of the slant range [m]."""
-    own_noise: Floats
-    """Part of it that is not common to all pixels [m]."""
-    bias: Floats
-    """Estimated bias of the slant range [m]."""
-    agree: NDArray[np.bool_]
-    """Mask of pixels whose frequencies agree."""
-    path: Floats
-    """Optical path [m]."""
-    mixed: NDArray[np.bool_]
-    """Mask of beams with two surfaces."""
-
-
-def _errors(
-    target: xr.Dataset, usable: NDArray[np.bool_], excluded: NDArray[np.bool_]
-) -> _Errors:
-    """Return the range errors of the usable pixels, joint estimations by themselves."""
-    if "joint_slant_range_uncertainty" in target:
-        uncertainty = target["joint_slant_range_uncertainty"].values[usable]
-        settled = np.isfinite(uncertainty)
-        # Unknown instrument errors are not included in any other method's error.
-        instrument = target.attrs["joint_instrument_uncertainty_m"]
-        rest = np.sqrt(np.maximum(uncertainty[settled] ** 2 - instrument**2, 0.0))
-        common = target["joint_slant_range_common_uncertainty"].values[usable][settled]
-        own = np.sqrt(np.maximum(uncertainty[settled] ** 2 - common**2, 0.0))
-        return _Errors(
-            noise=rest,
-            own_noise=own,
-            bias=np.zeros(settled.shape),
-            agree=settled,
-            path=_joint_path(target)[usable],
-            mixed=np.zeros(settled.shape, dtype=bool),
-        )
-    signal = target.amulor.signal.values[:, 0][:, usable]
-    instrument = instrument_phase(target, target.amulor.survey)
-    observed = Observation(cube=target)
-    errors = observed.covariance.part((slice(None), 0))
-    to_range = ranging.range_per_phase(
-        target["modulation_frequency"].values[:, None],
-        group_index=float(target["geometry"].attrs["group_index"]),
-    )
-    sigma = to_range * detection.phase_uncertainty(
-        signal,
-        in_phase_variance=errors.in_phase[:, usable],
-        quadrature_variance=errors.quadrature[:, usable],
-        covariance=errors.cross[:, usable],
-    )
-    sigma = np.where(excluded[:, usable], np.inf, sigma)
-    weight, noise = ranging.weights_and_uncertainty(sigma)
-    own = noise
-    if (common := observed.common_covariance) is not None:
-        common = common.part((slice(None), 0))
-        shared = to_range * detection.phase_uncertainty(
-            signal,
-            in_phase_variance=common.in_phase[:, usable],
-            quadrature_variance=common.quadrature[:, usable],
-            covariance=common.cross[:, usable],
-        )
-        rest = np.where(np.isfinite(sigma), sigma**2 - shared**2, 0.0)
-        own = np.sqrt(np.sum(weight**2 * np.maximum(rest, 0.0), axis=0))
-    bias = np.zeros(noise.shape)
-    if "residual_in_phase" in target:
-        water = (
-            target["residual_in_phase"].values
-            + 1j * target["residual_quadrature"].values
-        )[:, 0][:, usable]
-        turned = ranging.phase_shift(signal, residual=water)
-        shift = to_range * np.where(water == 0, 0.0, turned)
-        bias = np.sum(weight * shift, axis=0)
-    frequency = target["modulation_frequency"].values
-    path = ambiguity.optical_path(
-        np.angle(signal),
-        sigma / to_range,
-        modulation_frequency=frequency,
-        shortest=np.zeros(noise.shape),
-        # As far as the phases do not repeat.
-        longest=np.full(noise.shape, 0.999 * _repeated_path(frequency)),
-        doubt=np.broadcast_to(instrument[:, None], sigma.shape),
-    )
-    # Only whether they agree: which interval is right is a matter of its limits.
-    freedom = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1
-    agree = path.strain <= chdtri(np.maximum(freedom, 1), _DISAGREEMENT)
-    agree = np.asarray(agree | (freedom < 1))
-    group_index = float(target["geometry"].attrs["group_index"])
-    mixed, _, _ = mixed_beams(
-        np.abs(signal),
-        sigma / to_range,
-        phase_per_range=1 / to_range.ravel(),
-        slant_range=np.where(agree, path.length / (2 * group_index), np.nan),
-        uncertainty=noise,
-    )
-    return _Errors(
-        noise=noise,
-        own_noise=own,
-        bias=bias,
-        agree=agree,
-        path=path.length,
-        mixed=mixed,
-    )
-
-
-def _joint_path(target: xr.Dataset) -> Floats:
-    """Return the optical paths from the joint estimation; NaN without a survey [m]."""
-    distance: Floats = target["joint_slant_range"].values
-    survey = target.amulor.survey
-    if survey is None:
-        return np.full(distance.shape, np.nan)
-    geometry = Geometry(
-        azimuth=target["azimuth"].values,
-        elevation=target["elevation"].values,
-        emitter=np.asarray(survey.instrument.emitter.position),
-        receiver=np.asarray(survey.instrument.receiver.position),
-        medium=medium_of(survey),
-    )
-    settled = np.isfinite(distance)
-    path = geometry.optical_path(
-        np.where(settled, distance, geometry.beam.length_before + 1.0)
-    )
-    return np.where(settled, path, np.nan)
 
 
 @dataclass(frozen=True)
@@ -685,7 +545,7 @@ def _steadier(trials: list[_Trial], best: int, cube: xr.Dataset) -> _Steadier | 
     if not (np.isfinite(first.row.error) and first.own_noise > 0):
         return None
     group_index = float(cube["geometry"].attrs["group_index"])
-    repeat = _repeated_path(cube["modulation_frequency"].values)
+    repeat = repeated_path(cube["modulation_frequency"].values)
     least = first.own_noise / (1 + _EQUAL)
     chosen = None
     for index, trial in enumerate(trials):
@@ -728,7 +588,7 @@ def _disagreement(
     """
     chosen = trials[best]
     group_index = float(cube["geometry"].attrs["group_index"])
-    repeat = _repeated_path(cube["modulation_frequency"].values)
+    repeat = repeated_path(cube["modulation_frequency"].values)
     other, largest = None, 0.0
     for trial in trials:
         row = trial.row
@@ -744,11 +604,6 @@ def _disagreement(
         if difference > max(_DISAGREE * error, largest):
             other, largest = row, difference
     return other, largest
-
-
-def _repeated_path(frequency: Floats) -> float:
-    """Return the unambiguous round-trip optical path for a set of frequencies [m]."""
-    return float(speed_of_light / np.min(np.append(np.diff(frequency), frequency[0])))
 
 
 def _best(rows: list[Row]) -> int | None:

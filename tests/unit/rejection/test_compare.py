@@ -312,6 +312,27 @@ def test_a_disagreement_of_methods_counts_as_an_error(by_hand: Make) -> None:
     assert np.all(image["slant_range_common_uncertainty"].values > 7e-3)
 
 
+@pytest.mark.slow
+def test_light_of_corners_counts_as_in_the_range_image() -> None:
+    case = BY_NAME["corner"].make(2, 1)
+    module = importlib.import_module("amulor.rejection.compare")
+    rows = {}
+    for name in ("open-water", "polarization"):
+        method = rejection.load(name)
+        target = method(case.samples, interval=case.interval).isel(polarization=[0])
+        absent = target.assign_attrs(corner_light="absent")
+        rows[name] = module._row(method, target, case.interval).row
+        without = module._row(method, absent, case.interval).row
+        image = imaging.range_image(target, interval=case.interval)
+        expected = np.median(image["slant_range_uncertainty_corners"].values)
+        corners = np.sqrt(rows[name].noise ** 2 - without.noise**2)
+        assert corners == pytest.approx(expected, rel=0.1)
+        assert without.flagged == 0
+    # Unpolarized light passes for water, which `polarization` separates by its ratio.
+    assert rows["polarization"].flagged > 0.5
+    assert rows["open-water"].flagged == 0
+
+
 @pytest.mark.parametrize(
     ("difference", "error", "expected"),
     [(0.05, 0.6, 1), (0.25, 0.6, None), (0.05, 1.1, None)],
