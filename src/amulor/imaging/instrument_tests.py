@@ -51,6 +51,11 @@ class FrequencyPhase:
         return self.probability < LARGEST_CHANCE
 
     @property
+    def size(self) -> float:
+        """Norm of the deviations [rad]."""
+        return float(np.linalg.norm(self.phase))
+
+    @property
     def attributes(self) -> dict[str, float | Floats]:
         """Attributes of a range image; with the phases if these are significant."""
         values: dict[str, float | Floats] = {FREQUENCY_PROBABILITY: self.probability}
@@ -68,10 +73,9 @@ def frequency_phase(
     count for each frequency on its own. The stated phase error of the instrument does
     not: the hypothesis is an instrument without errors. If the phases of two
     frequencies contradict each other in all channels, the rejection method has stored
-    this result.
+    this result. The darker and the brighter half of the pixels are tested, too, and
+    the largest significant deviations count.
     """
-    from scipy.special import chdtrc
-
     # From a vehicle, frequencies in turn belong to different distances.
     if len(observation.frequency) < 2 or observation.lag is not None:
         return None
@@ -85,6 +89,31 @@ def frequency_phase(
     valid &= ~path.left_out.any(axis=0)
     # Phases of two surfaces contradict each other without any error.
     valid &= (observation.flag & QualityFlag.MIXED) == 0
+    if valid.sum() < _FEWEST_PIXELS:
+        return None
+    test = _deviations(observation, path, valid)
+    # Errors that depend on the amplitude turn a part of the pixels.
+    level = np.log(np.abs(np.where(valid, observation.signal, 1.0))).mean(axis=0)
+    bright = level > np.median(level[valid])
+    for part in (bright, ~bright):
+        of_part = _deviations(observation, path, valid & part, tests=2)
+        if of_part is None or not of_part.is_real:
+            continue
+        if test is None or not test.is_real or of_part.size > test.size:
+            test = of_part
+    return test
+
+
+def _deviations(
+    observation: Observation,
+    path: ambiguity.Path,
+    valid: NDArray[np.bool_],
+    *,
+    tests: int = 1,
+) -> FrequencyPhase | None:
+    """Test the phases of some pixels, one of several tests; None if untestable."""
+    from scipy.special import chdtrc
+
     if valid.sum() < _FEWEST_PIXELS:
         return None
     middle = np.median((path.residual / observation.path_per_phase)[:, valid], axis=1)
@@ -107,7 +136,7 @@ def frequency_phase(
     misfit = float(np.sum(weight * length**2))
     return FrequencyPhase(
         phase=length / observation.path_per_phase.ravel(),
-        probability=float(chdtrc(len(length) - 1, misfit)),
+        probability=min(1.0, tests * float(chdtrc(len(length) - 1, misfit))),
     )
 
 

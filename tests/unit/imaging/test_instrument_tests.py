@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -66,7 +68,7 @@ def _target(
     )
 
 
-def _image(turn: np.ndarray, **options: float) -> xr.Dataset:
+def _image(turn: np.ndarray, **options: Any) -> xr.Dataset:
     return imaging.range_image(_target(turn, **options), interval=(0.5, 2.0))
 
 
@@ -114,6 +116,25 @@ def test_chance_is_uniform_for_phases_that_agree() -> None:
     assert min(chances) > 1e-4
     # 40 values: the mean of a uniform distribution is known to 0.046.
     assert np.mean(chances) == pytest.approx(0.5, abs=0.2)
+
+
+def test_phases_of_the_brighter_pixels_count_where_they_deviate_most() -> None:
+    # A smooth brightness has no edges at which neighbors differ.
+    pixels = np.linspace(0.8, 1.2, SHAPE[1]) * np.ones(SHAPE)
+    turn = 0.006
+    turned = pixels * np.exp(1j * turn * (pixels > 1.0))
+    image = _image(np.zeros(4), pixels=turned, noise=3e-3)
+    weight = FREQUENCY**2
+    rest = turn * (1 - FREQUENCY * np.sum(FREQUENCY) / np.sum(weight))
+    phases = image.attrs["frequency_phase_rad"]
+    assert phases == pytest.approx(rest, abs=0.2 * turn)
+    # The true distance is 1.2 m.
+    error = np.abs(image["slant_range"].values - 1.2)
+    assert np.isfinite(error).all()
+    assert np.all(error < 1.96 * image["slant_range_uncertainty"].values)
+    assert error.max() > 1e-3
+    # Without the turn, none of two halves of 80 pixels deviates.
+    assert "frequency_phase_rad" not in _image(np.zeros(4), pixels=pixels).attrs
 
 
 def test_two_frequencies_have_one_degree_of_freedom() -> None:
