@@ -72,9 +72,9 @@ def draw_site(browser: str) -> None:
         if main(words) != 0:
             sys.exit("the drawings of the site failed")
         SITE.mkdir(parents=True, exist_ok=True)
-        for picture, file in {"plan": "plan", "section": "section_B"}.items():
-            svg = folder / f"wreck_{file}.svg"
-            shot(browser, svg, (1150, 820), SITE / f"{picture}.png", zoom=2)
+        shot(browser, folder / "wreck_plan.svg", (1150, 1600), SITE / "plan.png")
+        svg = folder / "wreck_section_B.svg"
+        shot(browser, svg, (1150, 820), SITE / "section.png", zoom=2)
         shot(browser, svg, (1150, 820), SITE / "detail.png", zoom=6, part=AMPHORA)
 
 

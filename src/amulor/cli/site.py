@@ -623,7 +623,7 @@ def drawings(
         Visit of the plan; by default the last. Sections show all visits.
     scale
         Scale, such as 1:10. If the plan then exceeds a sheet of A3, it is an overview,
-        and detail sheets follow. By default the plan fits A4.
+        and detail sheets follow. By default the plan fits A3.
     contours
         Interval of contour lines, such as "5 cm".
     line

@@ -64,7 +64,7 @@ class SiteOrder:
     epoch: str = ""
     """Visit of the plan; by default the last."""
     scale: float | None = None
-    """Scale denominator of the details; by default one sheet of A4 for all [1]."""
+    """Scale denominator of the details; by default one sheet of A3 for all [1]."""
     contours: float | None = None
     """Interval of contour lines; by default about 16 levels [m]."""
     lines: tuple[tuple[float, float, float, float], ...] = ()
@@ -226,12 +226,12 @@ class _Visit:
         }
 
     def overview_scale(self) -> float:
-        """Return the scale denominator at which plan and stations fit A4 [1]."""
+        """Return the scale denominator at which plan and stations fit A3 [1]."""
         west, east, south, north = self.bounds
         stations = [self.registration.poses[s.name].position[:2] for s in self.present]
         ends = [end for cut in self.cuts.values() for end in cut]
         corners = np.array([*ends, *stations, (west, south), (east, north)])
-        return fitting_scale(*np.ptp(corners, axis=0))
+        return fitting_scale(*np.ptp(corners, axis=0), paper="A3")
 
     def heights(self, scale: float, window: Window) -> _Heights:
         """Compute the heights of a part of the site."""

@@ -123,13 +123,15 @@ def error_ellipse(
     return Ellipse((x, y), wide, high, angle=angle, fill=False, edgecolor=colour)
 
 
-def fitting_scale(wide: float, high: float) -> float:
-    """Return the largest usual scale at which an object fits a sheet of A4.
+def fitting_scale(wide: float, high: float, *, paper: str = "A4") -> float:
+    """Return the largest usual scale at which an object fits a sheet of paper.
 
     Parameters
     ----------
     wide, high : float
         Size of the object in the drawing [m].
+    paper : str
+        ISO 216 size, "A4" to "A0"; the sheet is upright or lying.
 
     Returns
     -------
@@ -140,9 +142,13 @@ def fitting_scale(wide: float, high: float) -> float:
     --------
     >>> fitting_scale(0.3, 0.25)
     2.0
+    >>> fitting_scale(4.8, 5.5, paper="A4"), fitting_scale(4.8, 5.5, paper="A3")
+    (50.0, 20.0)
     """
-    # Upright and lying A4, with a title block of usual size.
-    room = ((168.0, 165.0), (255.0, 78.0))
+    short, long = _SHEETS[paper]
+    # Border, coordinates, and a title block of usual size.
+    beside, below = 42.0, 132.0
+    room = ((short - beside, long - below), (long - beside, short - below))
     needed = min(max(wide * 1e3 / w, high * 1e3 / h) for w, h in room)
     return rounded_up(max(needed, 1.0))
 

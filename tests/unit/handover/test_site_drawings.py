@@ -153,9 +153,9 @@ def test_a_larger_scale_adds_details(site, capsys) -> None:
     plan = site.with_name("site_plan.svg")
     assert ids_of(plan).count("detail") == len(details)
     assert {str(number + 1) for number in range(len(details))} <= texts_of(plan)
-    # An overview on A4 remains the first sheet.
+    # An overview on A3 remains the first sheet.
     assert any(
-        text.endswith(" on A4") for text in texts_of(site.parent / "site_plan.svg")
+        text.endswith(" on A3") for text in texts_of(site.parent / "site_plan.svg")
     )
 
 
