@@ -80,6 +80,12 @@ WRONG = [
     ),
     ("all", as_degrees, "all visits", 'radians called "deg"'),
     ("two", as_degrees, "visit 'two'", 'radians called "deg"'),
+    (
+        "all",
+        lambda s: {"heading": np.radians(s.heading)},
+        "all visits",
+        'their headings are radians called "deg"',
+    ),
 ]
 
 
@@ -94,6 +100,16 @@ def test_another_reading_of_the_start_poses_is_named(
     assert words in line
     with pytest.raises(CubeError, match=who):
         register(wrong, surfaces=drawn.surfaces, images=drawn.images)
+
+
+def test_of_two_equally_certain_visits_the_later_is_named(drawn: DrawnSite) -> None:
+    level = dict.fromkeys(("position_uncertainty", "heading_uncertainty"), 0.05)
+    for visit in ("one", "two"):
+        wrong = changed(drawn.site, visit, up)
+        (line,) = start_findings(
+            changed(wrong, "all", lambda _: level), clouds(drawn)
+        ).mistakes
+        assert line.startswith("visit 'two'")
 
 
 def test_start_poses_as_good_as_stated_have_no_finding(drawn: DrawnSite) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -68,12 +68,18 @@ def _from_east(start: StartPose) -> dict[str, object]:
     return {"heading": math.remainder(math.pi / 2 - start.heading, 2 * math.pi)}
 
 
-def _in_radians(start: StartPose) -> dict[str, object]:
+def _in_radians(
+    start: StartPose, names: Iterable[str] = ("heading", "pitch", "roll")
+) -> dict[str, object]:
     factor = 180 / math.pi
     return {
         name: math.remainder(getattr(start, name) * factor, 2 * math.pi)
-        for name in ("heading", "pitch", "roll")
+        for name in names
     }
+
+
+def _heading_in_radians(start: StartPose) -> dict[str, object]:
+    return _in_radians(start, ["heading"])
 
 
 _READINGS: tuple[tuple[str, Callable[[StartPose], dict[str, object]]], ...] = (
@@ -97,6 +103,10 @@ _READINGS: tuple[tuple[str, Callable[[StartPose], dict[str, object]]], ...] = (
         _from_east,
     ),
     ('their angles are radians called "deg"; state them as "rad"', _in_radians),
+    (
+        'their headings are radians called "deg"; state them as "rad"',
+        _heading_in_radians,
+    ),
 )
 
 
@@ -126,9 +136,9 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     }
     placed = {name: _placed(starts[name], samples[name]) for name in starts}
     gates = {name: _gate(starts[name], samples[name]) for name in starts}
-    # Of two contradicting visits, the less certain one is named.
+    # Of two contradicting visits, the less certain or else the later one is named.
     worse = sorted(
-        visits,
+        reversed(visits),
         key=lambda name: (
             -min(starts[scan_name].position_uncertainty for scan_name in visits[name])
         ),
