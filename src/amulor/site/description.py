@@ -159,9 +159,9 @@ class SiteScan(Description):
     instrument: Name = "instrument"
     """Name of the instrument; scans of one instrument and one epoch share the errors of
     its delay and its geometry."""
-    drift: Annotated[Length, Field(ge=0)] = 0.0
+    drift: Annotated[Length, Field(ge=0)] | None = None
     """Standard uncertainty of a slow drift of the ranges: half of the change from the
-    first to the last row [m]."""
+    first to the last row; by default that of `[registration]` [m]."""
     processing: Processing | None = None
     """Processing of a cube into a range image; not needed for a range image."""
     simulated_from: Path | None = None
@@ -283,6 +283,9 @@ class Registration(Description):
     the pixels [m]."""
     window: Annotated[Count, Field(ge=3, le=21)] = 7
     """Width in pixels of the window in which a surface must be smooth; odd [1]."""
+    drift: Annotated[Length, Field(ge=0)] = 0.0
+    """Standard uncertainty of a slow drift in each scan that states none: half of the
+    change of the ranges from the first to the last row [m]."""
 
     @model_validator(mode="after")
     def _odd(self) -> Self:

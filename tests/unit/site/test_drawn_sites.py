@@ -250,6 +250,22 @@ def test_a_drift_that_poses_absorb_is_named_with_its_scan_and_size() -> None:
     assert off < 0.5 * drawn.wrong(found)["a2"][0]
 
 
+def test_a_drift_is_stated_for_all_scans_but_those_that_state_their_own() -> None:
+    drawn = one_visit("bed", 2, rows=36)
+    scans = tuple(
+        scan.model_copy(update={"drift": 0.0}) if scan.name == "a1" else scan
+        for scan in drawn.site.scan
+    )
+    settings = drawn.site.registration.model_copy(update={"drift": 0.005})
+    site = drawn.site.model_copy(update={"scan": scans, "registration": settings})
+    shared = {s.name: surface_of(site, s, drawn.images[s.name]).shared for s in scans}
+    for name, errors in shared.items():
+        stated = [key for key in errors.keys if key.startswith("drift")]
+        assert stated == ([] if name == "a1" else [f"drift: {name}"])
+    of_rows = shared["a2"].shapes[shared["a2"].keys.index("drift: a2")][:, 20]
+    assert of_rows[[0, -1]] == pytest.approx([-0.005, 0.005])
+
+
 def test_a_delay_of_one_scan_is_named() -> None:
     drawn = one_visit("bed", 2, rows=48, spoiled={"a2": lambda d: d + 0.02})
     found = registered(drawn)

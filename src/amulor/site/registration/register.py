@@ -122,7 +122,7 @@ def surface_of(site: Site, scan: SiteScan, image: xr.Dataset) -> ScanSurface:
         scan=scan.name,
         instrument=f"{scan.instrument}, {scan.epoch}",
         water=f"{water}, {scan.epoch}",
-        drift=scan.drift,
+        drift=site.registration.drift if scan.drift is None else scan.drift,
         course=None if motion is None else motion.course,
     )
     return scan_surface(
