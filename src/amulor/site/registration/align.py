@@ -133,12 +133,15 @@ def align(
     settled, steps, free = False, 0, 0
     # Shared errors by which the ranges of `surfaces` are corrected.
     measured, removed = surfaces, dict.fromkeys(state.errors, 0.0)
+    largest = {name: _largest_parts(surface) for name, surface in measured.items()}
     while waiting:
         fine = _FINE_STEPS - len(waiting)
         tell("fitting all scans to each other", 0.8 - 0.5 * len(waiting) / len(gates))
         first = surfaces is measured
         # In the first wide steps, estimates may be far off.
-        if not (first and fine < 0) and _much_to_correct(measured, state, removed):
+        if not (first and fine < 0) and _much_to_correct(
+            measured, state, removed, largest
+        ):
             removed = dict(state.errors)
             surfaces = {
                 name: with_correction(surface, range_correction(surface, removed))
@@ -268,19 +271,33 @@ def _refuse_islands(
         )
 
 
-def _much_to_correct(
-    measured: Mapping[str, ScanSurface], state: State, removed: Mapping[str, float]
-) -> bool:
-    """Whether estimated errors are too large for derivatives at the measured ranges."""
-    change = {key: value - removed[key] for key, value in state.errors.items()}
-    return any(
-        bool(
-            (
-                abs(range_correction(surface, change)) > _CORRECTED * surface.distance
-            ).any()
-        )
-        for surface in measured.values()
+def _largest_parts(surface: ScanSurface) -> Floats:
+    """Largest effect of each shared error on the ranges, over the range, (k,) [1]."""
+    reach = np.where(surface.usable, surface.distance, np.inf)
+    return np.array(
+        [float((abs(shape) / reach).max()) for shape in surface.shared.shapes]
     )
+
+
+def _much_to_correct(
+    measured: Mapping[str, ScanSurface],
+    state: State,
+    removed: Mapping[str, float],
+    largest: Mapping[str, Floats],
+) -> bool:
+    """Whether estimated errors are too large for derivatives at the measured ranges.
+
+    The sum of the largest effects, `largest`, is a bound that needs no ranges.
+    """
+    change = {key: value - removed[key] for key, value in state.errors.items()}
+    for name, surface in measured.items():
+        sizes = np.array([abs(change[key]) for key in surface.shared.keys])
+        if sizes @ largest[name] <= _CORRECTED:
+            continue
+        correction = abs(range_correction(surface, change))
+        if (correction > _CORRECTED * surface.distance).any():
+            return True
+    return False
 
 
 def _pairs(
