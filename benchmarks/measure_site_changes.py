@@ -4,7 +4,8 @@ The beds come from `tests/oracles/underwater_sites.py`: bumps, hollows, heaps, b
 with steep flanks, bumps on slopes, wedges, and stones that moved, by 2 to 50 mm, or no
 change. Each is scanned from three places before and after, with wrong start poses, and
 is registered, merged and compared. Area, mean change and volume, and six lengths
-between points of two scans, are tested by their stated errors. Each pair of visits is a
+between points of two scans, are tested by their stated errors. Pairs from 2000 on have
+a change of 2 mm, and a stone beside it that moved by 5 to 50 mm. Each pair of visits is a
 row of `benchmarks/site_changes.csv`; the options are those of `measure_sites.py`.
 """
 
@@ -35,6 +36,8 @@ TABLE = Path(__file__).parent / "site_changes.csv"
 SIZES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.0)
 #: Regions farther from the middle of a change are false [m].
 FAR = 0.4
+#: First pair with a moved stone beside the change, and distances of the stone [m].
+BESIDE, AWAY = 2000, (0.6, 0.75)
 ROWS, COUNT, LENGTHS = 60, 3, 6
 COLUMNS = (
     "site", "kind", "size_mm", "outcome", "places", "called", "called_far", "regions",
@@ -47,9 +50,19 @@ COLUMNS = (
 def measured(number: int) -> dict[str, Any]:
     """Row of two visits to one bed."""
     rng = np.random.default_rng([44, number])
-    kind = oracle.CHANGES[number % len(oracle.CHANGES)]
-    size = SIZES[number // len(oracle.CHANGES) % len(SIZES)]
-    before, after = oracle.changed_bed(kind, size, rng)
+    beside = number >= BESIDE
+    kinds = oracle.CHANGES[:-1] if beside else oracle.CHANGES
+    kind = kinds[number % len(kinds)]
+    size = SIZES[0] if beside else SIZES[number // len(oracle.CHANGES) % len(SIZES)]
+    before, after = changed = oracle.changed_bed(kind, size, rng)
+    if beside:
+        angle, toward = rng.uniform(0, 2 * np.pi, 2)
+        unit, way = (np.array([np.cos(a), np.sin(a)]) for a in (angle, toward))
+        before, after = oracle.with_moved_stone(
+            before, after,
+            changed[1].swellings[0].middle + rng.uniform(*AWAY) * unit,
+            rng.choice(SIZES[1:5]) * way, rng,
+        )  # fmt: skip
     site = drawn_sites.two_visits(before, after, rng, rows=ROWS, count=COUNT)
     row: dict[str, Any] = {"site": number, "kind": kind, "size_mm": round(1e3 * size)}
     begin = time.process_time()
@@ -81,7 +94,7 @@ def measured(number: int) -> dict[str, Any]:
         limit = np.abs(found.value[members]).min()
         signs = set(np.sign(found.value[members]))
         true_area, true_volume = true_sums(
-            before, after, limit, sign=signs.pop() if len(signs) == 1 else 0.0
+            *changed, limit, sign=signs.pop() if len(signs) == 1 else 0.0
         )
         row |= {
             "area_cm2": round(1e4 * region.area, 1),

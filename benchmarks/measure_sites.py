@@ -5,7 +5,8 @@ package: beds, walls, bodies, planes and corners; starts wrong by up to 50 cm an
 degrees, stated as they are or too small; a fish, a scan that nothing explains, a drift
 over the rows, a delay, another height datum, and quiet sites. Sites from number 1000 on
 have a scan of another place, those from 3000 on a delay or drift near the limit of
-detection, and those from 4000 on the same in each scan, as stated.
+detection, and those from 4000 on the same in each scan, as stated. Sites from 5000 on have
+a drift or no error, and those from 6000 on are the same with a stated drift of 1 cm.
 
 Each site is a row of `benchmarks/sites.csv`, with a digest of the code of
 `amulor.site.registration` that measured it. A number of further sites is measured, and
@@ -82,6 +83,9 @@ ELSEWHERE = 1000
 #: From these numbers on a2 has a delay or drift near the limit of detection, and from
 #: the second one on all scans have a stated one.
 NEAR, STATED_ERRORS = 3000, 4000
+#: From the first number on a2 has a drift, or no scan has an error; from the second one
+#: on the same sites have a stated drift of all scans of this size [m].
+DRIFTING, EXPECTED, EXPECTED_DRIFT = 5000, 6000, 0.01
 #: Limits of these sizes [m].
 SIZES = {"drift": (0.002, 0.02), "delay": (0.003, 0.06)}
 #: Parts of the generator's sites without an error or with a fish, and with a delay or
@@ -162,14 +166,21 @@ def version(*folders: str) -> str:
 
 def drawn(number: int) -> tuple[Any, dict[str, Any]]:
     """Function that scans the site of a number, and its draw in words."""
-    rng = np.random.default_rng([40, number])
-    kind = KINDS[number % len(KINDS)]
+    settings: dict[str, Any] = {}
+    seed = number
+    if number >= EXPECTED:
+        seed = number - EXPECTED + DRIFTING
+        settings = {"registration": {"drift": EXPECTED_DRIFT}}
+    rng = np.random.default_rng([40, seed])
+    kind = KINDS[seed % len(KINDS)]
     rows = ROWS[kind]
     spoiler = SPOILERS[rng.integers(len(SPOILERS))]
     if number >= ELSEWHERE:
         spoiler = "elsewhere"
     if number >= NEAR:
         spoiler = "near" if number < STATED_ERRORS else "stated"
+    if number >= DRIFTING:
+        spoiler = ("drift", "quiet")[number // len(KINDS) % 2]
     position, degrees = STARTS[rng.integers(len(STARTS))]
     stated = STATED[rng.integers(len(STATED))] if number < NEAR else 1.0
     angle = np.radians(degrees)
@@ -203,7 +214,7 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
         starts[name] = dataclasses.replace(start, station=station)
     spoiled: dict[str, Any] = {}
     error, size = "", 0.0
-    if number >= NEAR:
+    if NEAR <= number < DRIFTING:
         error = ("drift", "delay")[rng.integers(2)]
         size = float(np.exp(rng.uniform(*np.log(SIZES[error]))))
     if spoiler == "near":
@@ -253,8 +264,9 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
 
     def scanned() -> Any:
         site = drawn_sites.drawn_site(
-            {"one": scene}, {"one": stations}, starts, rng, rows=rows, spoiled=spoiled
-        )
+            {"one": scene}, {"one": stations}, starts, rng, rows=rows,
+            spoiled=spoiled, **settings,
+        )  # fmt: skip
         if spoiler == "stated":
             state_errors(site, error, size)
         return site

@@ -385,6 +385,16 @@ def changed_bed(kind, height, rng):
     return ground, replace(ground, swellings=(swelling,))
 
 
+def with_moved_stone(before, after, at, way, rng):
+    """Return a bed before and after a change, with a stone at `at` moved by `way`."""
+    stone = Swelling("heap", rng.uniform(0.06, 0.12), tuple(at), (0.2, 0.2), 0.0)
+    moved = replace(stone, middle=tuple(np.add(at, way)))
+    return (
+        replace(before, swellings=(*before.swellings, stone)),
+        replace(after, swellings=(*after.swellings, moved)),
+    )
+
+
 def along_normals(before, after, place, normal, reach=0.2):
     """Return distances of two beds along lines, by bisection [m]."""
 
