@@ -5,8 +5,8 @@ with steep flanks, bumps on slopes, wedges, and stones that moved, by 2 to 50 mm
 change. Each is scanned from three places before and after, with wrong start poses, and
 is registered, merged and compared. Area, mean change and volume, and six lengths
 between points of two scans, are tested by their stated errors. Pairs from 2000 on have
-a change of 2 mm, and a stone beside it that moved by 5 to 50 mm. Each pair of visits is a
-row of `benchmarks/site_changes.csv`; the options are those of `measure_sites.py`.
+a change of 2 mm, and a stone beside it that moved by 5 to 50 mm. Each pair of visits is
+a row of `benchmarks/site_changes.csv`; the options are those of `measure_sites.py`.
 """
 
 from __future__ import annotations

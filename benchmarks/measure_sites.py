@@ -5,8 +5,9 @@ package: beds, walls, bodies, planes and corners; starts wrong by up to 50 cm an
 degrees, stated as they are or too small; a fish, a scan that nothing explains, a drift
 over the rows, a delay, another height datum, and quiet sites. Sites from number 1000 on
 have a scan of another place, those from 3000 on a delay or drift near the limit of
-detection, and those from 4000 on the same in each scan, as stated. Sites from 5000 on have
-a drift or no error, and those from 6000 on are the same with a stated drift of 1 cm.
+detection, and those from 4000 on the same in each scan, as stated. Sites from 5000 on
+have a drift or no error, and those from 6000 on are the same with a stated drift of
+1 cm.
 
 Each site is a row of `benchmarks/sites.csv`, with a digest of the code of
 `amulor.site.registration` that measured it. A number of further sites is measured, and

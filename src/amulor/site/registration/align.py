@@ -133,14 +133,14 @@ def align(
     settled, steps, free = False, 0, 0
     # Shared errors by which the ranges of `surfaces` are corrected.
     measured, removed = surfaces, dict.fromkeys(state.errors, 0.0)
-    largest = {name: _largest_parts(surface) for name, surface in measured.items()}
+    bounds = {name: _largest_parts(surface) for name, surface in measured.items()}
     while waiting:
         fine = _FINE_STEPS - len(waiting)
         tell("fitting all scans to each other", 0.8 - 0.5 * len(waiting) / len(gates))
         first = surfaces is measured
         # In the first wide steps, estimates may be far off.
         if not (first and fine < 0) and _much_to_correct(
-            measured, state, removed, largest
+            measured, state, removed, bounds
         ):
             removed = dict(state.errors)
             surfaces = {
@@ -283,16 +283,16 @@ def _much_to_correct(
     measured: Mapping[str, ScanSurface],
     state: State,
     removed: Mapping[str, float],
-    largest: Mapping[str, Floats],
+    bounds: Mapping[str, Floats],
 ) -> bool:
     """Whether estimated errors are too large for derivatives at the measured ranges.
 
-    The sum of the largest effects, `largest`, is a bound that needs no ranges.
+    The sum of the largest effects, `bounds`, needs no ranges.
     """
     change = {key: value - removed[key] for key, value in state.errors.items()}
     for name, surface in measured.items():
         sizes = np.array([abs(change[key]) for key in surface.shared.keys])
-        if sizes @ largest[name] <= _CORRECTED:
+        if sizes @ bounds[name] <= _CORRECTED:
             continue
         correction = abs(range_correction(surface, change))
         if (correction > _CORRECTED * surface.distance).any():

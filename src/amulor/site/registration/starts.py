@@ -137,11 +137,14 @@ def start_findings(site: Site, clouds: Mapping[str, Floats]) -> StartFindings:
     placed = {name: _placed(starts[name], samples[name]) for name in starts}
     gates = {name: _gate(starts[name], samples[name]) for name in starts}
     # Of two contradicting visits, the less certain or else the later one is named.
+    order = list(visits)
     worse = sorted(
-        reversed(visits),
+        visits,
         key=lambda name: (
-            -min(starts[scan_name].position_uncertainty for scan_name in visits[name])
+            min(starts[scan_name].position_uncertainty for scan_name in visits[name]),
+            order.index(name),
         ),
+        reverse=True,
     )
     groups = {f"visit {name!r}": visits[name] for name in worse}
     if len(visits) > 1:
