@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -330,6 +332,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0 for success, 1 for an error in files or data, 2 for wrong use, 130
         for an interrupt, 128 plus the signal number for another signal.
     """
+    # At the end, the interpreter looks through all objects for garbage, for a second.
+    atexit.register(gc.freeze)
     words = _with_negative(sys.argv[1:] if arguments is None else arguments)
     try:
         code = _answer(words)

@@ -77,3 +77,15 @@ def test_a_command_keeps_advice_of_matplotlib_back(command: str) -> None:
         check=True,
     )
     assert ("MPLCONFIGDIR" in done.stderr) is not bool(command)
+
+
+def test_the_end_of_a_command_looks_for_no_garbage() -> None:
+    # The interpreter would look through all objects of all packages for a second.
+    say = (
+        "import atexit, gc; atexit.register(lambda: print(gc.get_freeze_count() > 0));"
+        "from amulor.cli import main; main(['samples'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", say], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "True"
