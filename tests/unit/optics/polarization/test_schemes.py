@@ -129,6 +129,17 @@ def test_a_turned_plate_leaks_sine_squared_and_passed_twice_that_of_twice_the_an
     assert_allclose(apart, np.sin(2 * error) ** 4, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.parametrize("state", ["L", "R"])
+def test_a_plate_error_turns_the_plate_to_the_side_of_positive_angles(state) -> None:
+    # First row of a polarizer at 0 behind a quarter-wave plate at the angle a:
+    # 1/2 [1, cos(2 a)^2, sin(4 a) / 2, +-sin(2 a)], here at a = +-45 degrees + 0.1.
+    error = 0.1
+    row = schemes.analyser(state, arm=PolarizationArm(plate_error=error))[0]
+    assert_allclose(row[1], np.sin(2 * error) ** 2 / 2, rtol=1e-12)
+    assert_allclose(row[2], -np.sin(4 * error) / 4, rtol=1e-12)
+    assert_allclose(abs(row[3]), np.cos(2 * error) / 2, rtol=1e-12)
+
+
 @settings(deadline=None)
 @given(small, small)
 def test_circular_leak_is_what_the_matrices_give(retardance, turn):
