@@ -281,6 +281,8 @@ class Tally:
 
     def _select(self, which: str) -> Complex:
         """Return batch means of a kind of light, (batch, component, frequency)."""
+        if which not in LIGHT:
+            return self.batches[:, self.parts.index(which)]
         target = np.array([name.startswith("target") for name in self.parts])
         chosen = dict(zip(LIGHT, (np.ones_like(target), ~target, target), strict=True))
         summed: Complex = self.batches[:, chosen[which]].sum(axis=1)
@@ -455,13 +457,8 @@ class Tally:
         ValueError
             If there is no such light or state, or the run carried no Stokes vectors.
         """
-        if light in LIGHT:
-            values = self._select(light)
-        elif light in self.parts:
-            values = self.batches[:, self.parts.index(light)]
-        else:
-            names = ", ".join(repr(name) for name in (*LIGHT, *self.parts))
-            raise ValueError(f"light must be one of {names}; got {light!r}")
+        _refuse_other_light(light, (*LIGHT, *self.parts))
+        values = self._select(light)
         return self._analysed(values, analyser)
 
     def _analysed(self, values: Complex, analyser: str) -> Complex:
@@ -837,10 +834,11 @@ def _refuse_undetermined(determined: bool) -> None:
         )
 
 
-def _refuse_other_light(light: str) -> None:
-    """Raise a ValueError unless the light is one of `LIGHT`."""
-    if light not in LIGHT:
-        raise ValueError(f"light must be one of {', '.join(LIGHT)}; got {light!r}")
+def _refuse_other_light(light: str, names: tuple[str, ...] = LIGHT) -> None:
+    """Raise a ValueError unless the kind of light is one of the names."""
+    if light not in names:
+        listed = ", ".join(repr(name) for name in names)
+        raise ValueError(f"light must be one of {listed}; got {light!r}")
 
 
 def paired(
