@@ -7,16 +7,18 @@ References
 ----------
 .. [1] M. Oren and S. K. Nayar, Proc. SIGGRAPH 1994, 239, :doi:`10.1145/192161.192213`.
 .. [2] M. Born and E. Wolf, Principles of Optics, section 1.5.
+.. [3] E. Heitz, J. Comput. Graph. Tech. 3(2), 48 (2014).
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import erfc
 
 from amulor.optics._bounds import at_least, broadcast, within
 
-__all__ = ["fresnel_transmission", "oren_nayar"]
+__all__ = ["fresnel_transmission", "mirror_facets", "oren_nayar"]
 
 _ASIDE = np.pi / 2 * (1 - 1e-9)
 
@@ -105,6 +107,85 @@ def oren_nayar(
     once = once + (1 - np.abs(cosine)) * third * np.tan((larger + smaller) / 2)
     twice = 0.17 * albedo * square / (square + 0.13) * (1 - cosine * side**2)
     return np.asarray(albedo / np.pi * (once + twice))
+
+
+def mirror_facets(
+    *,
+    incidence: ArrayLike,
+    reflection: ArrayLike,
+    azimuth: ArrayLike,
+    rms_slope: ArrayLike,
+) -> NDArray[np.float64]:
+    r"""Return the BRDF of a rough surface of facets that mirror all light [1/sr].
+
+    Parameters
+    ----------
+    incidence : array_like
+        Angle of the incident light against the normal, 0 to pi / 2 [rad].
+    reflection : array_like
+        Angle of the reflected light against the normal, 0 to pi / 2 [rad].
+    azimuth : array_like
+        Angle about the normal between the directions to the source and to the observer;
+        0 straight back, -pi to pi [rad].
+    rms_slope : array_like
+        Root mean square slope of the facets along one axis, 0.001 to 0.5 [1].
+
+    Returns
+    -------
+    ndarray
+        BRDF, of the broadcast shape [1/sr].
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside of its range.
+
+    Notes
+    -----
+    Ref. [3] of this module, with facets that reflect all light. Their slopes are
+    Gaussian with the standard deviation :math:`\sigma`, at all heights (Smith). With
+    the angle :math:`\theta_h` between the normals of surface and facet,
+
+    .. math::
+
+       f = \frac{e^{-\tan^2 \theta_h / 2 \sigma^2}}{2 \pi \sigma^2 \cos^4 \theta_h}
+           \frac{1}{4 \cos\theta_i \cos\theta_r (1 + \Lambda_i + \Lambda_r)}, \qquad
+       \Lambda = \frac{e^{-a^2}}{2 a \sqrt\pi} - \frac{\mathrm{erfc}(a)}{2}, \quad
+       a = \frac{\cot\theta}{\sqrt 2 \sigma}.
+
+    Light that meets a second facet is neglected. At a slope of 0.3 that is 2 % of the
+    light at normal incidence, and 11 % at 69 degrees; at 0.5 it is 26 and 13 %.
+
+    Examples
+    --------
+    >>> angles = {"incidence": 0.3, "reflection": 0.3, "rms_slope": 0.1}
+    >>> print(mirror_facets(azimuth=np.pi, **angles).round(1))
+    4.4
+    >>> print(mirror_facets(azimuth=0.0, **angles).round(3))
+    0.044
+    """
+    arriving = within(incidence, 0, np.pi / 2, name="incidence", unit="rad")
+    leaving = within(reflection, 0, np.pi / 2, name="reflection", unit="rad")
+    turn = within(azimuth, -np.pi, np.pi, name="azimuth", unit="rad")
+    slope = within(rms_slope, 1e-3, 0.5, name="rms_slope")
+    broadcast(incidence=arriving, reflection=leaving, azimuth=turn, rms_slope=slope)
+    arriving, leaving = np.minimum(arriving, _ASIDE), np.minimum(leaving, _ASIDE)
+    cosines = np.cos(arriving) * np.cos(leaving)
+    between = cosines + np.sin(arriving) * np.sin(leaving) * np.cos(turn)
+    square = (np.cos(arriving) + np.cos(leaving)) ** 2 / (2 + 2 * between)
+    density = np.exp(-(1 / square - 1) / (2 * slope**2))
+    density = density / (2 * np.pi * slope**2 * square**2)
+    shadow = 1.0 + _smith(arriving, slope) + _smith(leaving, slope)
+    return np.asarray(density / (4 * cosines * shadow))
+
+
+def _smith(
+    angle: NDArray[np.float64], slope: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return Smith's Lambda of a direction at an angle to the normal [1]."""
+    a = 1 / (np.sqrt(2) * slope * np.maximum(np.tan(angle), 1e-9))
+    a = np.minimum(a, 10.0)  # there it is below 1e-40
+    return np.asarray(np.exp(-(a**2)) / (2 * a * np.sqrt(np.pi)) - erfc(a) / 2)
 
 
 def fresnel_transmission(

@@ -145,6 +145,11 @@ class Derivatives:
                         "the derivative to reflectance needs a target with a "
                         "reflectance above 0"
                     )
+                if problem.surface.gloss > 0:
+                    raise ValueError(
+                        "the derivative to reflectance needs a target without gloss, "
+                        f"got a gloss of {problem.surface.gloss:g}"
+                    )
             elif name == "range" or name in _RECEIVER:
                 _refuse_receiver(problem, name)
             elif name != "absorption":

@@ -209,27 +209,34 @@ class Problem:
             height = float(normal @ point)
         elif target is not None:
             corners = self._turned(target.corners)
+        mesh, number = hierarchy(corners)
+        if isinstance(target, MeshTarget) and target.texture is not None:
+            factor = np.array(target.texture, dtype=np.float64)
+            mesh = mesh._replace(texture=factor[number])
         return Surface(
             has_plane=plane,
             normal=normal,
             height=height,
             reflectance=0.0 if target is None else float(target.reflectance),
+            gloss=0.0 if target is None else float(target.gloss),
+            slope=1.0 if target is None else float(target.rms_slope) or 1.0,
             mueller=np.zeros((4, 4)) if target is None else target.matrix,
             right=(right[0], right[1], right[2]),
-            mesh=hierarchy(corners)[0],
+            mesh=mesh,
         )
 
     @property
     def joined_touch(self) -> float:
         """Largest light of a target reflection joined with an adjoint path [1].
 
-        Omega times reflectance over pi, for a target that faces the receiver; 0 where
-        no path of light from the target is scattered on its way.
+        Omega times the BRDF for a target that faces source and receiver; 0 where no
+        path of light from the target is scattered on its way.
         """
         if self.target is None or not np.any(self.water.albedo > 0):
             return 0.0
         solid = math.sin(self.face.acceptance) ** 2
-        return solid * float(self.target.reflectance)
+        surface = self.surface
+        return solid * (surface.reflectance + surface.gloss / (8 * surface.slope**2))
 
     @cached_property
     def scene(self) -> Scene:
@@ -245,8 +252,8 @@ class Problem:
             *self.water[:7],
             *self.beam[:5],
             *self.face[:3],
-            *self.surface[:6],
-            *self.surface.mesh[:3],
+            *self.surface[:8],
+            *self.surface.mesh[:4],
             self.source.stokes,
             self.medium.group_index,
             self.medium.polarized,

@@ -26,7 +26,7 @@ _PROBES = np.array(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshTarget:
-    """Target made of Lambertian triangles, which reflect on both sides.
+    """Target made of triangles, Lambertian or glossy, which reflect on both sides.
 
     The surface is opaque. Both sides of a triangle reflect, so the order of its corners
     does not matter. Light may be reflected any number of times.
@@ -35,8 +35,8 @@ class MeshTarget:
     ------
     ValueError
         If there is no triangle, a face refers to a missing vertex or has no area, two
-        faces are identical, the reflectance is outside of 0 to 1, or the matrix is not
-        physical.
+        faces are identical, a reflectance, the texture or the gloss is out of range, or
+        the matrix is not physical.
 
     Examples
     --------
@@ -56,9 +56,17 @@ class MeshTarget:
     reflectance: float
     """Diffuse reflectance [1]."""
     mueller: ArrayLike | None = None
-    """Matrix over its first element, an ideal depolarizer if not given. It leads from
-    the part of the scene's axis to the right that is perpendicular to the light before
-    the reflection to that after it, wherever the receiver looks."""
+    """Matrix of diffuse light over its first element, an ideal depolarizer if not
+    given. It leads from the part of the scene's axis to the right that is perpendicular
+    to the light before the reflection to that after it, wherever the receiver looks."""
+    texture: ArrayLike | None = None
+    """Diffuse reflectance of each triangle over `reflectance`, from 0 to 1, shape
+    (faces,); 1 if not given [1]."""
+    gloss: float = 0.0
+    """Fraction of the light that falls on facets which mirror it, up to 1 less the
+    reflectance [1]."""
+    rms_slope: float = 0.0
+    """Root mean square slope of these facets along one axis, 0.02 to 0.5 [1]."""
     corners: Array = field(init=False, repr=False)
     """Corner positions of each triangle, shape (faces, 3, 3) [m]."""
     matrix: Array = field(init=False, repr=False)
@@ -67,8 +75,20 @@ class MeshTarget:
     def __post_init__(self) -> None:
         """Raise a ValueError for an invalid mesh, reflectance or matrix."""
         object.__setattr__(self, "corners", _corners(self.vertices, self.faces))
-        matrix = reflection_matrix(self.reflectance, self.mueller)
+        matrix = reflection_matrix(
+            self.reflectance, self.mueller, self.gloss, self.rms_slope
+        )
         object.__setattr__(self, "matrix", matrix)
+        if self.texture is not None:
+            factor = np.array(self.texture, dtype=np.float64)
+            if factor.shape != (len(self.corners),):
+                raise ValueError(
+                    f"texture must have one number for each of the {len(self.corners)} "
+                    f"faces, got the shape {factor.shape}"
+                )
+            if not np.all((factor >= 0) & (factor <= 1)):
+                wrong = factor[~((factor >= 0) & (factor <= 1))][0]
+                raise ValueError(f"texture must be from 0 to 1, got {wrong:g}")
 
     def depth_inside(self, point: Array) -> float:
         """Return a point's depth in a closed part of the mesh; 0 if outside [m].

@@ -74,7 +74,7 @@ def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
     """
     if len(corner) == 0:
         none = np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12))
-        return Mesh(*none, 0.0), np.empty(0, dtype=np.int64)
+        return Mesh(*none, np.empty(0), 0.0), np.empty(0, dtype=np.int64)
     low, high = corner.min(axis=1), corner.max(axis=1)
     centre = 0.5 * (low + high)
     least = RELATIVE_GAP * float(np.abs(corner).max())
@@ -97,4 +97,4 @@ def hierarchy(corner: Array) -> tuple[Mesh, Integers]:
     triangle[:, NORMAL:] = np.divide(
         normal, length, out=np.zeros_like(normal), where=length > 0
     )
-    return Mesh(box, link, triangle, least), number
+    return Mesh(box, link, triangle, np.ones(len(corner)), least), number

@@ -140,12 +140,26 @@ class GaussianReceiver(_Receiver):
     """
 
 
+#: Range of the rms slope of the facets of a glossy target.
+_SLOPES = (0.02, 0.5)
+
+
 def reflection_matrix(
-    reflectance: float, mueller: ArrayLike | None
+    reflectance: float, mueller: ArrayLike | None, gloss: float, rms_slope: float
 ) -> NDArray[np.float64]:
     """Return a surface's reduced Mueller matrix; ValueError if not physical."""
     if not 0 <= reflectance <= 1:
         raise ValueError(f"reflectance must be from 0 to 1, got {reflectance!r}")
+    if not 0 <= gloss <= 1 - reflectance:
+        raise ValueError(
+            "gloss must be from 0 to 1, and with the reflectance not above 1, got "
+            f"{gloss!r} and {reflectance!r}"
+        )
+    if gloss > 0 and not _SLOPES[0] <= rms_slope <= _SLOPES[1]:
+        raise ValueError(
+            f"rms_slope of a glossy target must be from {_SLOPES[0]:g} to "
+            f"{_SLOPES[1]:g}, got {rms_slope!r}"
+        )
     elements = np.diag([1.0, 0, 0, 0]) if mueller is None else mueller
     matrix = np.array(elements, dtype=np.float64)
     if matrix.shape != (4, 4) or abs(matrix[0, 0] - 1) > 1e-12:
@@ -166,12 +180,12 @@ def reflection_matrix(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlaneTarget:
-    """Infinite Lambertian plane as a target.
+    """Infinite plane as a target, Lambertian or glossy.
 
     Raises
     ------
     ValueError
-        If the reflectance is outside of 0 to 1, the normal is zero, or the matrix is
+        If reflectance or gloss is out of range, the normal is zero, or the matrix is
         not physical.
 
     Examples
@@ -189,9 +203,14 @@ class PlaneTarget:
     reflectance: float
     """Diffuse reflectance [1]."""
     mueller: ArrayLike | None = None
-    """Matrix over its first element, an ideal depolarizer if not given. It leads from
-    the part of the scene's axis to the right that is perpendicular to the light before
-    the reflection to that after it, wherever the receiver looks."""
+    """Matrix of diffuse light over its first element, an ideal depolarizer if not
+    given. It leads from the part of the scene's axis to the right that is perpendicular
+    to the light before the reflection to that after it, wherever the receiver looks."""
+    gloss: float = 0.0
+    """Fraction of the light that falls on facets which mirror it, up to 1 less the
+    reflectance [1]."""
+    rms_slope: float = 0.0
+    """Root mean square slope of these facets along one axis, 0.02 to 0.5 [1]."""
     matrix: NDArray[np.float64] = field(init=False, repr=False)
     """Reduced Mueller matrix, shape (4, 4)."""
 
@@ -199,7 +218,9 @@ class PlaneTarget:
         """Raise a ValueError for an invalid plane, reflectance or matrix."""
         place(self.position, name="position")
         unit_vector(self.normal, name="normal")
-        matrix = reflection_matrix(self.reflectance, self.mueller)
+        matrix = reflection_matrix(
+            self.reflectance, self.mueller, self.gloss, self.rms_slope
+        )
         object.__setattr__(self, "matrix", matrix)
 
 

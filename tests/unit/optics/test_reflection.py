@@ -8,7 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from amulor.optics.reflection import fresnel_transmission, oren_nayar
+from amulor.optics.reflection import (
+    fresnel_transmission,
+    mirror_facets,
+    oren_nayar,
+)
 
 slants = st.floats(0.0, 1.4)
 turns = st.floats(0.0, np.pi)
@@ -131,3 +135,30 @@ def test_brewster_reflects_one_state_and_grazing_light_is_reflected():
         np.cos(0.9), refractive_index=1.5, refractive_index_behind=1.0
     )
     assert beyond == 0
+
+
+@given(one=slants, other=slants, azimuth=turns, slope=st.floats(0.02, 0.5))
+def test_light_of_mirroring_facets_takes_the_same_way_back(one, other, azimuth, slope):
+    there, back = (
+        mirror_facets(incidence=a, reflection=b, azimuth=azimuth, rms_slope=slope)
+        for a, b in ((one, other), (other, one))
+    )
+    assert_allclose(there, back, rtol=1e-9)
+
+
+@pytest.mark.parametrize("slope", [0.02, 0.1])
+def test_facets_of_small_slopes_mirror_all_light(slope):
+    angle, weight = np.polynomial.legendre.leggauss(400)
+    angle, weight = (angle + 1) * np.pi / 4, weight * np.pi / 4
+    turn = np.pi * (np.arange(900) + 0.5) / 900
+    brdf = mirror_facets(
+        incidence=0.5, reflection=angle[:, None], azimuth=turn, rms_slope=slope
+    ).mean(axis=1)
+    total = np.sum(2 * np.pi * brdf * np.cos(angle) * np.sin(angle) * weight)
+    assert_allclose(total, 1, atol=1e-6)
+
+
+def test_a_facet_that_faces_both_has_the_density_of_level_facets():
+    # At normal incidence straight back: 1 / (2 pi s^2) over four, without shadows.
+    found = mirror_facets(incidence=0.0, reflection=0.0, azimuth=0.0, rms_slope=0.1)
+    assert_allclose(found, 1 / (8 * np.pi * 0.01), rtol=1e-9)

@@ -104,6 +104,7 @@ GOOD = {
     "response": 0.5,
     "retardance": 1.0,
     "retardance_error": 0.01,
+    "rms_slope": 0.1,
     "roughness": 0.3,
     "salinity": 35.0,
     "scattering": 0.3,

@@ -212,6 +212,16 @@ REFUSED = {
         lambda: PlaneTarget(position=(0, 0, 1), reflectance=1.2),
         r"from 0 to 1, got 1\.2",
     ),
+    "a gloss beside a bright surface": (
+        lambda: PlaneTarget(
+            position=(0, 0, 1), reflectance=0.8, gloss=0.3, rms_slope=0.1
+        ),
+        r"gloss must be from 0 to 1, .*not above 1, got 0\.3 and 0\.8",
+    ),
+    "a gloss without facets": (
+        lambda: PlaneTarget(position=(0, 0, 1), reflectance=0.2, gloss=0.3),
+        r"rms_slope of a glossy target must be from 0\.02 to 0\.5, got 0\.0",
+    ),
     "an unrealizable target": (
         lambda: PlaneTarget(
             position=(0, 0, 1), reflectance=1, mueller=np.diag([1, 1, 1, -1.0])

@@ -363,6 +363,15 @@ def test_derivatives_are_resumed_merged_and_delayed_with_the_light():
         ({"derivatives": ("reflectance",)}, "needs a target"),
         ({"derivatives": ("scattering",), "scattering": 0.0}, "layers that all"),
         (
+            {
+                "derivatives": ("reflectance",),
+                "target": PlaneTarget(
+                    position=(0, 0, 1), reflectance=0.2, gloss=0.1, rms_slope=0.1
+                ),
+            },
+            r"reflectance needs a target without gloss, got a gloss of 0\.1",
+        ),
+        (
             {"derivatives": ("receiver_tilt_down",)},
             "derivative to receiver_tilt_down needs a GaussianReceiver",
         ),
@@ -413,7 +422,9 @@ def test_a_missing_derivative_or_light_is_named():
     tally = run(0.3, 0.6, isotropic(), derivatives=("absorption",))
     with pytest.raises(ValueError, match="the derivatives are 'absorption'"):
         tally.derivative("scattering")
-    with pytest.raises(ValueError, match="light must be one of all, water, target"):
+    with pytest.raises(
+        ValueError, match="one of 'all', 'water', 'target'; got 'order 1'"
+    ):
         tally.derivative("absorption", "order 1")
     with pytest.raises(ValueError, match="the same derivatives"):
         run(0.3, 0.6, isotropic(), resume=tally, histories=8000)

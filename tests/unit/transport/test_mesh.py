@@ -311,3 +311,16 @@ def test_runs_of_different_meshes_are_told_apart():
         )
     }
     assert len(digests) == 4
+
+
+@pytest.mark.parametrize(
+    ("texture", "message"),
+    [
+        ([1.0, 0.5], r"texture must have one number for each of the 12 faces.*\(2,\)"),
+        (np.full(12, 1.5), r"texture must be from 0 to 1, got 1\.5"),
+        (np.full(12, np.nan), r"texture must be from 0 to 1, got nan"),
+    ],
+)
+def test_a_texture_has_a_fraction_for_each_triangle(texture, message):
+    with pytest.raises(ValueError, match=message):
+        MeshTarget(vertices=CUBE, faces=SIDES, reflectance=0.5, texture=texture)

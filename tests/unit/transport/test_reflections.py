@@ -39,11 +39,14 @@ def uncompiled(monkeypatch):
 
 def target_of(normal):
     """Return a plane through (0, 0, 2), or a target without plane and triangles."""
-    mesh = Mesh(np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), 0.0)
+    mesh = Mesh(
+        np.empty((0, 6)), np.empty((0, 3), np.int64), np.empty((0, 12)), np.empty(0),
+        0.0,
+    )  # fmt: skip
     vector = np.array(normal or (0.0, 0.0, -1.0))
     return Target(
-        normal is not None, vector, 2.0 * vector[2], REFLECTANCE, np.eye(4),
-        (1.0, 0.0, 0.0), mesh,
+        normal is not None, vector, 2.0 * vector[2], REFLECTANCE, 0.0, 1.0,
+        np.eye(4), (1.0, 0.0, 0.0), mesh,
     )  # fmt: skip
 
 
@@ -58,7 +61,7 @@ def paths_of(kind, rng, touches=60, segments=80):
     touch[:, trace.TOUCH_LENGTH] = rng.uniform(2.0, 4.0, touches)
     touch[:, trace.TOUCH_ORDER] = rng.integers(0, 2, touches)
     touch[:, trace.NORMAL_X : trace.NORMAL_Z + 1] = normal or (0.0, 0.0, -1.0)
-    touch[:, trace.TRIANGLE] = -1.0
+    touch[:, trace.TRIANGLE], touch[:, trace.REFLECTANCE] = -1.0, REFLECTANCE
     touch[:, trace.TOUCH_GROUP] = rng.integers(0, GROUPS, touches)
     n = rng.normal((0.0, 0.0, 1.0), 0.4, (segments, 3))
     n /= np.linalg.norm(n, axis=1)[:, None]

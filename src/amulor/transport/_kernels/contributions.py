@@ -7,18 +7,14 @@ import math
 import numpy as np
 
 from amulor.transport._kernels.mesh import blocked, cone_window, transmission_depth
-from amulor.transport._kernels.polarization import (
-    connected,
-    received,
-    reflected,
-    returning_frame,
-)
+from amulor.transport._kernels.polarization import connected, returning_frame
 from amulor.transport._kernels.sampling import (
     cell_of,
     disc_point,
     height_between,
     uniform,
 )
+from amulor.transport._kernels.surfaces import leaving_light
 from amulor.transport._kernels.trace import (
     DOWN,
     FIRST_SEGMENT,
@@ -35,6 +31,7 @@ from amulor.transport._kernels.trace import (
     PARTITION,
     PER_Z,
     RECEIVER_SCORES,
+    REFLECTANCE,
     RIGHT,
     SEGMENT_COLUMNS,
     SIZE,
@@ -412,8 +409,8 @@ def direct_from_touches(
 ) -> None:
     """Record local estimates of light reflected by the target to the receiver.
 
-    It is (reflectance / pi) cos times the solid angle of the face and the
-    transmission, the cosine that between the target's normal and the way.
+    It is the BRDF times cos, the solid angle of the face and the transmission. The
+    cosine is that between the target's normal and the way.
     """
     touch, water, target = forward.touch, scene.water, scene.target
     out, path_matrix, mesh = arrival.light, arrival.path_matrix, target.mesh
@@ -429,11 +426,8 @@ def direct_from_touches(
         if area == 0.0:
             continue
         distance, m = way_to(place, px, py)
-        leaving = (
-            touch[i, NORMAL_X] * m[0]
-            + touch[i, NORMAL_Y] * m[1]
-            + touch[i, NORMAL_Z] * m[2]
-        )
+        normal = (touch[i, NORMAL_X], touch[i, NORMAL_Y], touch[i, NORMAL_Z])
+        leaving = normal[0] * m[0] + normal[1] * m[1] + normal[2] * m[2]
         if leaving <= 0.0:
             continue
         if has_mesh and blocked(place, (px, py, 0.0), touch[i, TRIANGLE], mesh):
@@ -444,7 +438,6 @@ def direct_from_touches(
         factor = (
             scale
             * order_weight(touch[i, TOUCH_ORDER], plan.roulette)
-            * target.reflectance
             / math.pi
             * leaving
             * area
@@ -452,17 +445,19 @@ def direct_from_touches(
             / (distance * distance)
             * math.exp(-depth)
         )
-        if plan.polarized:
-            n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
-            frame = returning_frame(m)
-            path_matrix[0], path_matrix[1], path_matrix[2] = frame
-            light = forward.touch_light[i]
-            vector = reflected(n, light, target.mueller, target.right, m, frame)
-            received(path_matrix, vector, out)
-            for k in range(4):
-                out[k] *= factor
-        else:
-            out[0] = factor
+        path_matrix[0], path_matrix[1], path_matrix[2] = returning_frame(m)
+        leaving_light(
+            (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ]),
+            m,
+            normal,
+            touch[i, REFLECTANCE],
+            target,
+            forward.touch_light[i if plan.polarized else 0],
+            path_matrix,
+            out,
+        )
+        for k in range(out.size):
+            out[k] *= factor
         add_to(total, TARGET, out)
         direct = touch[i, TOUCH_ORDER] == 0 and touch[i, TOUCHES] == 0
         length = touch[i, TOUCH_LENGTH] + distance

@@ -2,8 +2,8 @@
 
 A flat face is a plane across z. A rough face consists of facets with random slopes, in
 which light may be reflected several times before it leaves. Theory:
-docs/theory/photon-transport.md, "Faces of a slab". Compiled, as each photon meets a
-face at least twice.
+docs/theory/photon-transport.md, "Plane layers with faces". Compiled, as each photon
+meets a face at least twice.
 """
 
 from __future__ import annotations

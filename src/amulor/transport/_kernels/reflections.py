@@ -23,8 +23,8 @@ from amulor.transport._kernels.contributions import (
     touch_scores,
 )
 from amulor.transport._kernels.joins import path_blocked
-from amulor.transport._kernels.polarization import received, reflected
 from amulor.transport._kernels.sampling import uniform
+from amulor.transport._kernels.surfaces import leaving_light
 from amulor.transport._kernels.trace import (
     FACE,
     FIRST_SEGMENT,
@@ -39,6 +39,7 @@ from amulor.transport._kernels.trace import (
     NZ,
     ORDER,
     PER_Z,
+    REFLECTANCE,
     SCALE,
     SEGMENT_COLUMNS,
     SLOPE_X,
@@ -242,14 +243,14 @@ def join_touch(
 ) -> bool:
     """Join a reflection with an adjoint segment; return whether they meet.
 
-    The light of a pair is Omega (reflectance / pi) cos / |n'_z|, the cosine that
+    The light of a pair is Omega times the BRDF and cos / |n'_z|, the cosine that
     between the target's normal and the way to the receiver. share is its part of the
     weight SCALE. It is recorded, and left in the work array of the arrival.
     """
     i, j = pair
     touch, second, out = forward.touch, adjoint.segment, arrival.light
     target, face = scene.target, scene.face
-    normal, mesh = target.normal, target.mesh
+    plane, mesh = target.normal, target.mesh
     z = touch[i, TOUCH_Z]
     if z <= second[j, Z_LOW] or z > second[j, Z_HIGH]:
         return False
@@ -258,38 +259,36 @@ def join_touch(
     if px * px + py * py > second[j, FACE] * second[j, FACE]:
         return False
     m = (-second[j, NX], -second[j, NY], -second[j, NZ])
-    leaving = (
-        touch[i, NORMAL_X] * m[0]
-        + touch[i, NORMAL_Y] * m[1]
-        + touch[i, NORMAL_Z] * m[2]
-    )
+    normal = (touch[i, NORMAL_X], touch[i, NORMAL_Y], touch[i, NORMAL_Z])
+    leaving = normal[0] * m[0] + normal[1] * m[1] + normal[2] * m[2]
     if leaving <= 0.0:
         return False
     if (
         target.has_plane
         and second[j, ORDER] > 0
-        and normal[0] * px + normal[1] * py + second[j, FRONT] < target.height
+        and plane[0] * px + plane[1] * py + second[j, FRONT] < target.height
     ):
         return False
     if mesh.box.shape[0] > 0 and path_blocked(
         second, j, (px, py, z), touch[i, TRIANGLE], mesh
     ):
         return False
-    factor = share * second[j, SCALE] * target.reflectance / math.pi
+    factor = share * second[j, SCALE] / math.pi
     factor *= leaving / abs(m[2])
     factor *= order_weight(touch[i, TOUCH_ORDER], plan.roulette)
     factor *= order_weight(second[j, ORDER], plan.roulette)
-    if plan.polarized:
-        n = (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ])
-        path_matrix = adjoint.light[j]
-        frame = (path_matrix[0], path_matrix[1], path_matrix[2])
-        light = forward.touch_light[i]
-        vector = reflected(n, light, target.mueller, target.right, m, frame)
-        received(path_matrix, vector, out)
-        for k in range(4):
-            out[k] *= factor
-    else:
-        out[0] = factor
+    leaving_light(
+        (touch[i, TOUCH_NX], touch[i, TOUCH_NY], touch[i, TOUCH_NZ]),
+        m,
+        normal,
+        touch[i, REFLECTANCE],
+        target,
+        forward.touch_light[i if plan.polarized else 0],
+        adjoint.light[j if plan.polarized else 0],
+        out,
+    )
+    for k in range(out.size):
+        out[k] *= factor
     add_to(arrival.total, TARGET, out)
     unscattered = touch[i, TOUCH_ORDER] + second[j, ORDER] == 0
     length = touch[i, TOUCH_LENGTH] + second[j, LENGTH] + z * second[j, PER_Z]

@@ -19,13 +19,12 @@ from amulor.transport._kernels.mesh import facing_normal, first_hit
 from amulor.transport._kernels.polarization import (
     ADJOINT_COLUMNS,
     any_frame,
-    cross,
     deflected,
-    reflected,
     scattered,
     see_through,
 )
 from amulor.transport._kernels.sampling import draw_height, exponential, uniform
+from amulor.transport._kernels.surfaces import reflect
 from amulor.transport._kernels.types import (
     Array,
     Face,
@@ -51,11 +50,12 @@ GROUP = 18  # START is the row of the first segment of the path
 SEGMENT_COLUMNS = 19  # followed by the path's sum of each score
 
 # Columns of a touch of the target: place, path length, order, direction of the light,
-# normal on its side, number of the triangle (-1 for a plane), and number of the group.
+# normal on its side, number of the triangle (-1 for a plane), number of the group and
+# diffuse reflectance.
 TOUCH_X, TOUCH_Y, TOUCH_Z, TOUCH_LENGTH, TOUCH_ORDER, TOUCHES = range(6)
 TOUCH_NX, TOUCH_NY, TOUCH_NZ = range(6, 9)
-NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE, TOUCH_GROUP = range(9, 14)
-TOUCH_COLUMNS = 14  # followed by the path's sum of each score
+NORMAL_X, NORMAL_Y, NORMAL_Z, TRIANGLE, TOUCH_GROUP, REFLECTANCE = range(9, 15)
+TOUCH_COLUMNS = 15  # followed by the path's sum of each score
 
 #: Positions of the numbers of used rows, and of the first rows of the current group.
 USED_SEGMENTS, USED_TOUCHES, FIRST_SEGMENT, FIRST_TOUCH = range(4)
@@ -235,6 +235,7 @@ def touch_target(
     past: Past,
     normal: Vector,
     triangle: float,
+    reflectance: float,
     kind: Kind,
     paths: Paths,
     now: Array,
@@ -245,7 +246,7 @@ def touch_target(
     touch[row, TOUCH_X], touch[row, TOUCH_Y], touch[row, TOUCH_Z] = ray.place
     touch[row, TOUCH_LENGTH], touch[row, TOUCH_ORDER] = past.length, past.order
     touch[row, TOUCHES], touch[row, TRIANGLE] = past.touches, triangle
-    touch[row, TOUCH_GROUP] = kind.group
+    touch[row, TOUCH_GROUP], touch[row, REFLECTANCE] = kind.group, reflectance
     touch[row, TOUCH_NX], touch[row, TOUCH_NY], touch[row, TOUCH_NZ] = ray.direction
     touch[row, NORMAL_X], touch[row, NORMAL_Y], touch[row, NORMAL_Z] = normal
     for k in range(touch.shape[1] - TOUCH_COLUMNS):
@@ -254,36 +255,6 @@ def touch_target(
         for k in range(touch_light.shape[1]):
             touch_light[row, k] = now[k]
     paths.used[USED_TOUCHES] = row + 1
-
-
-@step
-def reflect(
-    state: States, ray: Ray, normal: Vector, target: Target, kind: Kind, now: Array
-) -> Ray:
-    """Draw a random reflected ray, distributed by Lambert's law.
-
-    The frame and Stokes vector in now become those of the light that goes on, by the
-    Mueller matrix of the target.
-    """
-    a = any_frame(normal)
-    b = cross(normal, a)
-    squared = uniform(state)
-    up, out = math.sqrt(1.0 - squared), math.sqrt(squared)
-    azimuth = 2.0 * math.pi * uniform(state)
-    along, across = out * math.cos(azimuth), out * math.sin(azimuth)
-    m = (
-        up * normal[0] + along * a[0] + across * b[0],
-        up * normal[1] + along * a[1] + across * b[1],
-        up * normal[2] + along * a[2] + across * b[2],
-    )
-    axis = ray.axis
-    if kind.polarized:
-        axis = any_frame(m)
-        now[3], now[4], now[5], now[6] = reflected(
-            ray.direction, now, target.mueller, target.right, m, axis
-        )
-        now[0], now[1], now[2] = axis
-    return Ray(ray.place, m, axis)
 
 
 @step
@@ -360,10 +331,13 @@ def trace(
         order, touches = past.order, past.touches
         if end == HIT:
             past = Past(first, layer, length, partition, front, order, touches)
-            touch_target(ray, past, facing, triangle, kind, paths, now)
-            if uniform(state) >= target.reflectance:
+            reflectance = target.reflectance
+            if triangle >= 0.0:
+                reflectance *= target.mesh.texture[int(triangle)]
+            touch_target(ray, past, facing, triangle, reflectance, kind, paths, now)
+            reflects, ray = reflect(state, ray, facing, reflectance, target, kind, now)
+            if not reflects:
                 return True, walk
-            ray = reflect(state, ray, facing, target, kind, now)
             touches += 1.0
         else:
             triangle = -1.0

@@ -92,12 +92,14 @@ class Mesh(NamedTuple):
     """Next box after a miss, first triangle and triangle count of each box."""
     triangle: Array
     """Corner, two edges and unit normal of each triangle, shape (triangles, 12) [m]."""
+    texture: Array
+    """Reflectance of each triangle over that of the target [1]."""
     least: float
     """Smallest hit distance of a ray that starts on a triangle [m]."""
 
 
 class Target(NamedTuple):
-    """Lambertian target: a plane, a mesh, or none."""
+    """Target: a plane, a mesh, or none."""
 
     has_plane: bool
     """Whether the target is a plane."""
@@ -107,8 +109,12 @@ class Target(NamedTuple):
     """Position of the plane along its normal [m]."""
     reflectance: float
     """Diffuse reflectance [1]."""
+    gloss: float
+    """Fraction of the light that facets mirror [1]."""
+    slope: float
+    """Root mean square slope of the facets along one axis, above 0 [1]."""
     mueller: Array
-    """Reduced Mueller matrix, m11 = 1."""
+    """Reduced Mueller matrix of diffuse light, m11 = 1."""
     right: Vector
     """Right-hand axis of the scene, reference of the Mueller matrix."""
     mesh: Mesh
