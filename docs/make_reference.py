@@ -54,6 +54,7 @@ TABLES: list[tuple[str, type[BaseModel], str | None]] = [
     ('[[targets]], kind = "mesh"', survey.Mesh, "target-mesh"),
     ('surface, kind = "lambertian"', survey.Lambertian, "surface-lambertian"),
     ('surface, kind = "oren-nayar"', survey.OrenNayar, "surface-oren-nayar"),
+    ('surface, kind = "glossy"', survey.Glossy, "surface-glossy"),
     ('surface, kind = "tabulated"', survey.TabulatedSurface, "surface-tabulated"),
     ("[instrument]", survey.Instrument, None),
     ("[instrument.emitter]", survey.Emitter, "emitter"),

@@ -245,9 +245,10 @@ def _brightness(
         turn = np.sum(flat[0] * flat[1], axis=1) / np.where(length > 0, length, 1.0)
         angles = [np.arccos(np.clip(slope, 0.0, 1.0)) for slope in slopes]
         # A receiver behind the surface receives no light, for any BRDF.
-        bright[indices] *= surface.brightness(
+        bright[indices] = surface.brightness(
             target.surface,
             reflectance=target.reflectance,
+            texture=texture[indices],
             incidence=angles[0],
             leaving=angles[1],
             azimuth=np.arccos(np.clip(np.where(length > 0, turn, 1.0), -1.0, 1.0)),

@@ -23,7 +23,7 @@ from amulor.survey.platform import (
 )
 from amulor.survey.properties import WaterProperties, water_properties
 from amulor.survey.scan import OpenWater, Pose, Scan, StandingReference, read_pose
-from amulor.survey.surface import Lambertian, OrenNayar, TabulatedSurface
+from amulor.survey.surface import Glossy, Lambertian, OrenNayar, TabulatedSurface
 from amulor.survey.survey import Survey, json_schema
 from amulor.survey.target import Disc, Mesh, Plate, Staircase
 from amulor.survey.water import Water
@@ -55,6 +55,7 @@ __all__ = [
     "Disturbance",
     "Emitter",
     "FournierForand",
+    "Glossy",
     "HenyeyGreenstein",
     "HoverCourse",
     "Instrument",

@@ -1,4 +1,4 @@
-"""Reflection by target surfaces: Lambertian, Oren-Nayar, or tabulated."""
+"""Reflection by target surfaces: Lambertian, Oren-Nayar, glossy, or tabulated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from amulor.errors import SurveyError
 from amulor.optics import reflection
 from amulor.survey import files
-from amulor.survey.quantity import Angle, Description
+from amulor.survey.quantity import Angle, Description, Fraction
 
 Floats = NDArray[np.float64]
 _Slant = Annotated[Angle, Field(ge=0, le=math.pi / 2)]
@@ -51,6 +51,26 @@ class OrenNayar(Description):
     """Kind of surface."""
     roughness: Annotated[Angle, Field(ge=0, le=1)]
     """Standard deviation of the slope angle of the facets [rad]."""
+
+
+class Glossy(Description):
+    """Glossy surface: Lambertian, with facets on top that mirror a part of the light.
+
+    Examples
+    --------
+    >>> from amulor.survey import Glossy
+    >>> Glossy(kind="glossy", gloss="4 %", rms_slope=0.1).gloss
+    0.04
+    """
+
+    kind: Literal["glossy"]
+    """Kind of surface."""
+    gloss: Annotated[Fraction, Field(gt=0, le=1)]
+    """Fraction of the light that meets a mirroring facet; with `reflectance` at most 1
+    [1]."""
+    rms_slope: Annotated[float, Field(ge=0.02, le=0.5)]
+    """Root mean square slope of the facets along one axis: the width of the highlight
+    [1]."""
 
 
 class TabulatedSurface(Description):
@@ -169,7 +189,7 @@ def _largest_reflectance(
 
 
 SurfaceStated = Annotated[
-    Lambertian | OrenNayar | TabulatedSurface, Field(discriminator="kind")
+    Lambertian | OrenNayar | Glossy | TabulatedSurface, Field(discriminator="kind")
 ]
 
 
@@ -177,11 +197,15 @@ def brightness(
     surface: SurfaceStated | None,
     *,
     reflectance: float,
+    texture: Floats,
     incidence: Floats,
     leaving: Floats,
     azimuth: Floats,
 ) -> Floats:
-    """Return the BRDF of a surface over that of a Lambertian surface [1]."""
+    """Return the BRDF of a surface over that of a Lambertian surface [1].
+
+    The texture multiplies the BRDF, without the light that facets mirror.
+    """
     if isinstance(surface, OrenNayar):
         ratio = reflection.oren_nayar(
             incidence=incidence,
@@ -190,10 +214,18 @@ def brightness(
             roughness=surface.roughness,
             reflectance=reflectance,
         )
-        return np.asarray(ratio * np.pi / reflectance)
+        return np.asarray(texture * ratio * np.pi / reflectance)
+    if isinstance(surface, Glossy):
+        facets = reflection.mirror_facets(
+            incidence=incidence,
+            reflection=leaving,
+            azimuth=azimuth,
+            rms_slope=surface.rms_slope,
+        )
+        return np.asarray(texture + surface.gloss * np.pi * facets / reflectance)
     if isinstance(surface, TabulatedSurface):
-        return np.pi * _interpolated(surface, incidence, leaving, azimuth)
-    return np.ones(incidence.shape)
+        return texture * np.pi * _interpolated(surface, incidence, leaving, azimuth)
+    return texture
 
 
 def _interpolated(

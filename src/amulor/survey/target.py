@@ -17,7 +17,7 @@ from amulor.survey.quantity import (
     Position,
     Rotation,
 )
-from amulor.survey.surface import SurfaceStated
+from amulor.survey.surface import Glossy, SurfaceStated
 
 #: Painted metal; m22 is published, m33 follows from symmetry, m44 is assumed.
 PAINTED_METAL = SURFACES["painted-metal"]
@@ -39,6 +39,16 @@ class _Target(Description):
     "smooth-metal" or "ideal-depolarizer" [1]."""
     surface: SurfaceStated | None = None
     """Distribution of the reflected light over directions; Lambert's law by default."""
+
+    @model_validator(mode="after")
+    def _reflects_no_more_than_arrives(self) -> Self:
+        surface = self.surface
+        if isinstance(surface, Glossy) and surface.gloss + self.reflectance > 1:
+            raise ValueError(
+                f"surface.gloss ({surface.gloss:g}) and reflectance "
+                f"({self.reflectance:g}) together must not exceed 1"
+            )
+        return self
 
 
 class Plate(_Target):

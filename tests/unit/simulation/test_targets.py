@@ -11,10 +11,11 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from amulor.errors import SurveyError
-from amulor.optics.reflection import oren_nayar
+from amulor.optics.reflection import mirror_facets, oren_nayar
 from amulor.simulation import DiffusionModel, simulate
 from amulor.simulation.geometry import Setup, trace
-from amulor.survey import Survey
+from amulor.survey import Glossy, Survey
+from amulor.survey.surface import brightness as surface_brightness
 
 SQUARE = np.array([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0.0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -74,6 +75,24 @@ def test_a_rough_plate_is_as_bright_as_its_formula_says(small):
     level = rough.with_({"targets.0.rotation": None})
     # Turned away, it loses less than Lambert's law says.
     assert found.flat[0] > 1.1 * (echo(level) / echo(small)[..., 2:3, 4:5]).flat[0]
+
+
+def test_a_glossy_plate_has_a_highlight_that_its_texture_does_not_dim(small):
+    survey = small.with_({"scan.columns": 1, "scan.rows": 1})
+    glossy = {"kind": "glossy", "gloss": 0.05, "rms_slope": 0.1}
+    expected = mirror_facets(
+        incidence=0.0, reflection=np.arctan(0.07 / 1.5), azimuth=0.0, rms_slope=0.1
+    )
+    found = echo(survey.with_({"targets.0.surface": glossy})) / echo(survey)
+    assert_allclose(found, 1 + 0.05 * np.pi * expected / 0.1, rtol=1e-9)
+    angle = np.zeros(2)
+    dark = surface_brightness(
+        Glossy(**glossy), reflectance=0.1, texture=np.array([0.0, 1.0]),
+        incidence=angle, leaving=angle, azimuth=angle,
+    )  # fmt: skip
+    assert_allclose(np.diff(dark), 1, rtol=1e-9)
+    with pytest.raises(SurveyError, match=r"surface\.gloss \(0\.05\) and reflectance"):
+        survey.with_({"targets.0.surface": glossy, "targets.0.reflectance": 0.96})
 
 
 def test_a_measured_table_is_read_and_travels_with_the_survey(

@@ -71,6 +71,7 @@ def test_what_was_not_read_says_so() -> None:
         brightness(
             TabulatedSurface(kind="tabulated", file=Path("a.csv")),
             reflectance=1.0,
+            texture=np.ones(1),
             incidence=angle,
             leaving=angle,
             azimuth=angle,
