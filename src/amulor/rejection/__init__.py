@@ -33,6 +33,7 @@ from amulor.rejection.polarization_difference import polarization_difference
 from amulor.rejection.range_profile import range_profile
 from amulor.rejection.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.reference.attach import with_open_water
+from amulor.rejection.smooth_surface import smooth_surface
 
 #: Name of the method `polarization` in version 0.1.0.
 unmix = polarization
@@ -68,6 +69,7 @@ __all__ = [
     "polarization_difference",
     "range_profile",
     "reject",
+    "smooth_surface",
     "split_scattering",
     "stokes_vectors",
     "target_ratio",
