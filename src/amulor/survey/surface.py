@@ -70,7 +70,8 @@ class Glossy(Description):
     [1]."""
     rms_slope: Annotated[float, Field(ge=0.02, le=0.5)]
     """Root mean square slope of the facets along one axis: the width of the highlight
-    [1]."""
+    [1]. Scattered light, which dims a highlight in turbid water, is computed as that of
+    a matte target with the brightness of the highlight."""
 
 
 class TabulatedSurface(Description):
