@@ -88,19 +88,19 @@ def beam_profile(
     if "saturated" in pixel:
         usable &= pixel["saturated"].values[:, 0, 0] == 0
     frequency = pixel["modulation_frequency"].values[usable]
-    if np.unique(frequency).size < range_profile.FEWEST:
+    if np.unique(frequency).size < range_profile.fewest(1):
         raise CubeError(
             f"pixel {row},{column} has valid samples at {np.unique(frequency).size} of "
             f"{usable.size} modulation frequencies; a range profile needs at least "
-            f"{range_profile.FEWEST}"
+            f"{range_profile.fewest(1)}"
         )
     signal, error = signal[usable], error[usable]
     water = None if water is None else water[usable]
-    freedom = 2 * frequency.size - 2 * most - fitted
-    if freedom < 1:
+    if np.unique(frequency).size < range_profile.fewest(most):
+        possible = np.unique(frequency).size - range_profile.fewest(0)
         raise CubeError(
-            f"{frequency.size} modulation frequencies do not determine {most} "
-            f"surfaces; state at most {(2 * frequency.size - 1 - fitted) // 2}"
+            f"{np.unique(frequency).size} modulation frequencies do not determine "
+            f"{most} surfaces; state at most {possible}"
         )
     geometry = geometry_of(pixel)
     index = geometry.medium.group_index

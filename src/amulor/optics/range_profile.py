@@ -16,8 +16,6 @@ __all__ = ["Surfaces", "range_profile", "resolution", "surfaces", "unambiguous_s
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Least number of modulation frequencies of a profile.
-FEWEST = 3
 #: Places of a search per resolution.
 _OVERSAMPLING = 8
 #: Least part of an echo that other surfaces do not explain, for a search [1].
@@ -464,6 +462,15 @@ class _Beam:
         if not count:
             return np.zeros((0, 0))
         return np.linalg.inv(columns.T @ columns)[:count, :count]
+
+
+def fewest(most: int) -> int:
+    """Return the number of frequencies that determine surfaces and water, and a test.
+
+    Each frequency has two outputs. Each surface has a place and an amplitude, and the
+    water a factor. Three or four outputs remain for the test of the model.
+    """
+    return most + 2
 
 
 def _stacked(values: NDArray[np.complex128]) -> Floats:

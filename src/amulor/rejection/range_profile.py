@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 import xarray as xr
@@ -16,17 +16,17 @@ from amulor.cube import QualityFlag
 from amulor.cube.schema import WaterResidualCause
 from amulor.errors import CubeError
 from amulor.optics import range_profile as profiles
+from amulor.optics.late_echo import RELATIVE_UNCERTAINTY
 from amulor.rejection import quality
 from amulor.rejection.build import target_cube
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.methods import method
 from amulor.rejection.observation import Observation
+from amulor.rejection.reference.late_phase import late_response
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Frequencies that a profile with water and a surface needs, beside those of a profile.
-_FEWEST = profiles.FEWEST + 2
 #: Departure from the model, over its assumed error, that is a misfit [1].
 _MISFIT = 2.0
 #: Least amplitude of the nearest or farthest surface, in parts of the strongest: errors
@@ -35,6 +35,9 @@ _SECOND = 0.1
 #: Least distance of another surface, in parts of the range resolution: late light of
 #: turbid water looks like a surface closer behind the first [1].
 _APART = 0.75
+
+#: Distances at which the late light is computed, over the interval.
+_DEPTHS = 9
 
 #: Surface of each beam that the target signal has.
 Surface = Literal["strongest", "nearest", "farthest"]
@@ -48,8 +51,8 @@ class _Beam:
     """Samples without water and other surfaces, shape (frequencies,) [V]."""
     variance: Floats
     """Variance of each output, shape (frequencies,) [V^2]."""
-    has_surface: bool
-    """Whether a surface is significant."""
+    place: float | None
+    """Slant range of the surface [m]; None if none is significant."""
     misfit: bool
     """Whether the samples depart from the model by more than its error."""
 
@@ -68,9 +71,9 @@ def range_profile(
     Parameters
     ----------
     cube : xarray.Dataset
-        Level `samples`, with five or more modulation frequencies. Open-water shots give
-        the shape of the water signal. Without them the method is right only at
-        frequencies far above the cut-off of the water.
+        Level `samples`, with two more modulation frequencies than surfaces, five by
+        default. Open-water shots give the shape of the water signal. Without them the
+        method is right only at frequencies far above the cut-off of the water.
     interval : tuple of float, optional
         Nearest and farthest slant range that are possible [m]. By default the
         unambiguous span of the frequencies.
@@ -92,13 +95,13 @@ def range_profile(
         - `NO_TARGET`: no surface is significant.
         - `WATER_RESIDUAL` with the cause `MODEL_MISFIT`: the samples depart from
           water and surfaces by more than the error of the model, or another surface
-          is closer than three quarters of the range resolution. In turbid water that is
-          the late light of the same surface.
+          is closer than three quarters of the range resolution. In turbid water that
+          the survey does not state, it is the late light of the same surface.
 
     Raises
     ------
     CubeError
-        If there are fewer than five frequencies, or the interval is longer than the
+        If there are too few frequencies, or the interval is longer than the
         unambiguous span.
     ValueError
         If an argument is out of range, or there is no such surface.
@@ -110,10 +113,12 @@ def range_profile(
     .. math:: S(f_k) = \sum_j a_j e^{4 \pi i f_k z_j / v} + c\, W(f_k),
 
     with the mean open-water signal W, amplitudes :math:`a_j > 0` and a factor c of the
-    beam. The water behind the target is not cut off: a short column and its water are
-    distinguished at frequencies where W is small, as in frequency-domain reflectometry
-    [1]_. The stated variance of the signal is larger than that of the samples, so that
-    its range has the uncertainty of the fit of all parameters.
+    beam. If the survey states the water, echoes have the loss and the delay of
+    forward-scattered light at their distance, with an error of 5 % of both. The water
+    behind the target is not cut off: a short column and its water are distinguished at
+    frequencies where W is small, as in frequency-domain reflectometry [1]_. The stated
+    variance of the signal is larger than that of the samples, so that its range has the
+    uncertainty of the fit of all parameters.
 
     References
     ----------
@@ -152,7 +157,8 @@ def range_profile(
         )
     scan = Observation(cube=cubes.checked(cube, "samples"))
     index = float(scan.cube["geometry"].attrs["group_index"])
-    places = _places(scan.frequency, index, interval)
+    places = _places(scan.frequency, index, interval, most)
+    late = _LateLight.of(scan, places)
     water, fluctuation, common = _open_water(scan)
     shape = scan.signal.shape
     target = np.full(shape, np.nan, dtype=complex)
@@ -169,6 +175,7 @@ def range_profile(
         beam = _separated(
             scan.signal[at],
             np.sqrt(stated + fluctuation[:, channel] + of_model),
+            late,
             None if water is None else water[:, channel],
             frequency=scan.frequency,
             group_index=index,
@@ -177,7 +184,7 @@ def range_profile(
             surface=surface,
         )
         target[at], variance[at] = beam.target, beam.variance
-        if not beam.has_surface:
+        if beam.place is None:
             flag[at] |= QualityFlag.NO_TARGET
         if beam.misfit:
             cause[at] |= WaterResidualCause.MODEL_MISFIT
@@ -200,12 +207,16 @@ def range_profile(
 
 
 def _places(
-    frequency: Floats, group_index: float, interval: tuple[float, float] | None
+    frequency: Floats,
+    group_index: float,
+    interval: tuple[float, float] | None,
+    most: int,
 ) -> tuple[float, float]:
     """Return the searched slant ranges [m]; CubeError if they repeat."""
-    if np.unique(frequency).size < _FEWEST:
+    if np.unique(frequency).size < profiles.fewest(most):
         raise CubeError(
-            f"a range profile needs {_FEWEST} modulation frequencies or more, got "
+            f"a range profile with up to {most} surfaces needs "
+            f"{profiles.fewest(most)} modulation frequencies or more, got "
             f"{np.unique(frequency).size}; use another method"
         )
     span = profiles.unambiguous_span(
@@ -266,7 +277,67 @@ def _over_pixels(errors: Covariance, shape: tuple[int, ...]) -> Covariance:
     )
 
 
+@dataclass(frozen=True)
+class _LateLight:
+    """Logarithm of echoes with late light over those without, by their place."""
+
+    place: Floats
+    """Slant ranges [m]."""
+    logarithm: Complex
+    """Logarithm, shape (frequencies, places) [1]."""
+
+    @classmethod
+    def of(cls, scan: Observation, interval: tuple[float, float]) -> _LateLight | None:
+        """Return the late light of the survey; None without any that matters."""
+        nearest, farthest = interval
+        place = np.linspace(max(nearest, farthest / 20), farthest, _DEPTHS)
+        logarithm = late_response(scan, place)
+        if logarithm is None or not np.isfinite(logarithm).all():
+            return None
+        return cls(place, logarithm)
+
+    def at(self, place: float) -> Complex:
+        """Return the logarithm at a place, over (frequencies)."""
+        parts = (
+            [np.interp(place, self.place, row) for row in part]
+            for part in (self.logarithm.real, self.logarithm.imag)
+        )
+        real, imaginary = (np.array(part) for part in parts)
+        return np.asarray(real + 1j * imaginary)
+
+
 def _separated(
+    signal: Complex,
+    error: Floats,
+    late: _LateLight | None,
+    water: Complex | None,
+    **options: Any,
+) -> _Beam:
+    """Return a surface of a beam, without water and other surfaces.
+
+    Late light makes an echo weaker and later at high frequencies, as a second surface
+    does. A first search without it gives the place, and a second one divides by it.
+    """
+    beam = _one_surface(signal, error, water, **options)
+    if late is None or beam.place is None:
+        return beam
+    logarithm = late.at(beam.place)
+    response = np.exp(logarithm)
+    doubt = RELATIVE_UNCERTAINTY * np.abs(logarithm) * np.abs(signal)
+    beam = _one_surface(
+        signal / response,
+        np.hypot(error, doubt) / np.abs(response),
+        None if water is None else water / response,
+        **options,
+    )
+    return replace(
+        beam,
+        target=beam.target * response,
+        variance=beam.variance * np.abs(response) ** 2,
+    )
+
+
+def _one_surface(
     signal: Complex,
     error: Floats,
     water: Complex | None,
@@ -277,7 +348,7 @@ def _separated(
     most: int,
     surface: Surface,
 ) -> _Beam:
-    """Return a surface of a beam, without water and other surfaces."""
+    """Return a surface of a beam without late light."""
     found = profiles.surfaces(
         signal,
         standard_uncertainty=error,
@@ -299,7 +370,7 @@ def _separated(
     freedom = 2 * frequency.size - 2 * found.amplitude.size - (water is not None)
     misfit = float(np.sum(np.abs(rest / error) ** 2)) > _MISFIT**2 * max(freedom, 1)
     if not found.amplitude.size:
-        return _Beam(rest, error**2, False, misfit)
+        return _Beam(rest, error**2, None, misfit)
     chosen = int(found.amplitude.argmax())
     if surface != "strongest":
         counted = np.flatnonzero(found.amplitude > _SECOND * found.amplitude[chosen])
@@ -310,4 +381,4 @@ def _separated(
     distance = np.abs(np.delete(found.slant_range - found.slant_range[chosen], chosen))
     width = profiles.resolution(modulation_frequency=frequency, group_index=group_index)
     misfit |= bool(np.any(distance < _APART * width))
-    return _Beam(target, scale * error**2, True, misfit)
+    return _Beam(target, scale * error**2, float(found.slant_range[chosen]), misfit)

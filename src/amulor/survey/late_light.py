@@ -1,8 +1,9 @@
-"""Delay of echoes by forward-scattered light, for instrument and water of a survey."""
+"""Delay and loss of echoes by forward-scattered light, for the survey of a scan."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,28 +50,60 @@ def late_echo_delay(
 
     Without `scattering` [1/m], that of the water is used.
     """
+    formula = late_echo.late_echo
+    if has_sharp_receiver(survey):
+        formula = late_echo.sharp_receiver_late_echo
+    return formula(
+        **_arguments(survey, frequency, depth, geometry, water, phase_function)
+        | {"split_angle": split_angle}
+        | ({} if scattering is None else {"scattering": scattering})
+    )
+
+
+def late_echo_response(
+    survey: Survey,
+    frequency: Floats,
+    *,
+    depth: Floats,
+    geometry: View,
+    water: WaterProperties,
+    phase_function: PhaseFunction,
+) -> NDArray[np.complex128]:
+    """Return echoes over those without late light, of shape as the delays [1]."""
+    return late_echo.response(
+        sharp=has_sharp_receiver(survey),
+        split_angle=math.pi / 2,
+        **_arguments(survey, frequency, depth, geometry, water, phase_function),
+    )
+
+
+def _arguments(
+    survey: Survey,
+    frequency: Floats,
+    depth: Floats,
+    geometry: View,
+    water: WaterProperties,
+    phase_function: PhaseFunction,
+) -> dict[str, Any]:
+    """Return the arguments of `late_echo`; SurveyError for large scattering angles."""
     if phase_function.asymmetry < LEAST_ASYMMETRY:
         raise SurveyError(
             f"the asymmetry of the water, {phase_function.asymmetry:g}, is below "
             f"{LEAST_ASYMMETRY:g}, where small angles do not describe the light"
         )
-    formula = late_echo.late_echo
-    if has_sharp_receiver(survey):
-        formula = late_echo.sharp_receiver_late_echo
     beams = geometry.baseline.ndim
-    return formula(
-        frequency.reshape(-1, *[1] * (beams + 1)),
-        depth=depth,
-        scattering=water.scattering if scattering is None else scattering,
-        phase_function=phase_function,
-        split_angle=split_angle,
-        group_index=water.group_index,
-        baseline=geometry.baseline[..., None],
-        receiver_radius=survey.instrument.receiver.radius,
-        acceptance_angle=geometry.acceptance,
-        tilt=geometry.tilt[..., None],
-        cross_tilt=geometry.cross_tilt[..., None],
-        standoff=geometry.standoff[..., None],
-        absorption=water.absorption,
+    return {
+        "modulation_frequency": frequency.reshape(-1, *[1] * (beams + 1)),
+        "depth": depth,
+        "scattering": water.scattering,
+        "phase_function": phase_function,
+        "group_index": water.group_index,
+        "baseline": geometry.baseline[..., None],
+        "receiver_radius": survey.instrument.receiver.radius,
+        "acceptance_angle": geometry.acceptance,
+        "tilt": geometry.tilt[..., None],
+        "cross_tilt": geometry.cross_tilt[..., None],
+        "standoff": geometry.standoff[..., None],
+        "absorption": water.absorption,
         **beam_arguments(survey, water),
-    )
+    }

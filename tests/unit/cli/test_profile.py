@@ -93,7 +93,7 @@ def test_a_missing_surface_is_reported_as_misfit(
         ("target", "--pixel=-1,1", 1, "pixel -1,1 is outside"),
         ("target", "--pixel 1", 2, "no row and column"),
         ("target", "--pixel 1,1 --most 0", 2, "--most must be 1 or more"),
-        ("target", "--pixel 1,1 --most 46", 1, "state at most 45"),
+        ("target", "--pixel 1,1 --most 46", 1, "state at most 44"),
         ("target", "--pixel 1,1 --nearest 1.9m --farthest 2m", 1, "no two surfaces"),
         ("target", "--pixel 1,1 -o profile.pdf", 2, "--output"),
         ("two", "--pixel 1,1", 1, "at 2 of 2 modulation frequencies"),

@@ -172,7 +172,7 @@ SWEEPS = {
     "sphere", "gauss_legendre", "forward_split", "optical_path", "enter_water",
     "return_distance", "return_length", "slant_range_of_path", "path_limits",
     "maximum_distance",
-    "weights_and_uncertainty",
+    "weights_and_uncertainty", "response", "fewest",
     "range_profile", "resolution", "surfaces", "unambiguous_span",
     "mixture",
 }  # fmt: skip

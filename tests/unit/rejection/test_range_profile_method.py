@@ -7,10 +7,13 @@ import pytest
 import xarray as xr
 from scipy.constants import speed_of_light
 
-from amulor import rejection
+from amulor import pipeline, rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
+from amulor.rejection.observation import Observation
+from amulor.rejection.reference.late_phase import late_response
 from amulor.simulation import simulate
+from amulor.studies.benchmark import light, scenes
 from amulor.survey import Survey
 
 FREQUENCIES = 1e6 * np.arange(100, 1001, 60)
@@ -40,10 +43,10 @@ def with_signal(
     """Return samples and shots with normal noise of a stated standard deviation."""
     rng = np.random.default_rng(seed)
     cube = frame.copy(deep=True)
-    for prefix, light in (("", scan), ("open_water_", shots)):
+    for prefix, clean in (("", scan), ("open_water_", shots)):
         shape = cube[f"{prefix}in_phase"].shape
         noise = rng.normal(0, error, (2, *shape))
-        signal = np.broadcast_to(light, shape) + noise[0] + 1j * noise[1]
+        signal = np.broadcast_to(clean, shape) + noise[0] + 1j * noise[1]
         cube[f"{prefix}in_phase"].values = signal.real
         cube[f"{prefix}quadrature"].values = signal.imag
         for name in ("in_phase", "quadrature"):
@@ -119,6 +122,36 @@ def test_the_tail_of_late_light_is_flagged(frame: xr.Dataset) -> None:
     target = rejection.range_profile(cube, interval=INTERVAL)
     flagged = (target["quality_flag"].values & QualityFlag.WATER_RESIDUAL) != 0
     assert flagged.mean() > 0.95
+
+
+@pytest.mark.parametrize("name", ["harbour-white-5-lengths", "harbour-white-7-lengths"])
+def test_late_light_of_photon_transport_is_no_second_surface(name: str) -> None:
+    (scene,) = (s for s in scenes.read() if s.name == f"{name}-sweep")
+    case = scene.case()
+    cube = case.samples.isel(row=[0, 6], column=[0, 11])
+    # Expected values are those of photon transport.
+    assert scene.water is not None
+    assert scene.distance is not None
+    frequency = np.array(light.FREQUENCIES["sweep"])
+    table = light.read(scene.water, scene.distance, highest=frequency.max())
+    echo = table.echo[np.searchsorted(light.ALL, frequency)]
+    echo = echo[:, np.abs(light.OFFSETS).argmin()]
+    depth = np.array([scene.distance])
+    logarithm = late_response(Observation(cube=cube), depth)
+    assert logarithm is not None
+    path = light.GROUP_INDEX * (depth + np.hypot(depth, light.BASELINE))
+    turned = echo * np.exp(-2j * np.pi * frequency * path / speed_of_light)
+    amplitude = np.exp(logarithm[:, 0].real)
+    np.testing.assert_allclose(
+        amplitude / amplitude[0], np.abs(echo / echo[0]), rtol=0.025
+    )
+    assert np.abs(np.angle(turned) - logarithm[:, 0].imag).max() < 0.07
+    target = rejection.range_profile(cube, interval=case.interval)
+    assert not target["quality_flag"].values.any()
+    image = pipeline.run(target, polarization="VV", interval=case.interval)
+    error = image["slant_range"].values - scene.distance
+    assert (np.abs(error) < 1.96 * image["slant_range_uncertainty"].values).all()
+    assert np.abs(error).max() < 1.5e-3
 
 
 def test_an_unknown_surface_is_refused(frame: xr.Dataset) -> None:
