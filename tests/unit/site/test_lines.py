@@ -12,6 +12,7 @@ from amulor.errors import CubeError, SurveyError
 from amulor.imaging import moving_frame, point_cloud
 from amulor.io.trajectories import read_trajectory, write_trajectory
 from amulor.platform import read_mounting
+from amulor.platform.mounting import mounting_text
 from amulor.site import Site
 from amulor.site.blocks import averaged, block_of, pixels_of_scan
 from amulor.site.check import check
@@ -166,6 +167,21 @@ def test_the_mounting_is_estimated_with_the_site(drawn, adjusted) -> None:
         assert abs(result.errors[key]) < 4
     spread = result.covariance_of("error boresight forward: instrument, 2026")
     assert spread[0, 0] < 0.5  # of the stated variance
+
+
+@pytest.mark.slow
+def test_a_mounting_that_is_wrong_by_far_more_than_stated_is_named(tmp_path) -> None:
+    site, _ = STUDY["make"](tmp_path, 2, lines=STUDY["LINES"][:2], rows=70, columns=40)
+    # 0.1 degrees are stated.
+    path = tmp_path / "rov.toml"
+    roll = STUDY["ANGLES"][2] + np.radians(1.0)
+    path.write_text(
+        mounting_text(read_mounting(path).model_copy(update={"roll": roll}))
+    )
+    surfaces, images = surfaces_of(site)
+    result = register(site, surfaces=surfaces, images=images)
+    named = {line.error.partition(":")[0] for line in result.contradictions}
+    assert "boresight forward" in named
 
 
 def test_blocks_of_pixels_have_the_mean_time(drawn) -> None:

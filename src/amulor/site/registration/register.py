@@ -453,11 +453,16 @@ def _contradictions(
                 )
             )
     for key, value in alignment.state.errors.items():
-        if value**2 > float(chi2.isf(_CHANCE, 1)):
+        at = alignment.layout.at["error", key].start
+        # The estimate of an honest error has the variance 1, minus what the prior draws
+        # it to zero, plus that of the fit. The fit of lines from a vehicle adds more.
+        by_fit = alignment.covariance[at, at] - 2 * alignment.inverse[at, at]
+        score = value**2 / (1 + max(by_fit, 0.0))
+        if score > float(chi2.isf(_CHANCE, 1)):
             contradicting.append(
                 Contradiction(
                     scan="", error=key, shift=0.0, turn=0.0, stated_shift=0.0,
-                    stated_turn=0.0, score=value**2,
+                    stated_turn=0.0, score=score,
                 )
             )  # fmt: skip
     for line in reliability:
