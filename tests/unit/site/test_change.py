@@ -220,6 +220,16 @@ def test_the_rim_of_a_region_ends_at_the_middle_to_the_next_region() -> None:
     assert beside.volume == pytest.approx(50 * 1e-4 * 5e-3)
 
 
+def test_the_rim_of_a_region_ends_before_an_opposite_change() -> None:
+    # A body moved by five columns, and only the places where it now lies are a region.
+    column = np.arange(400) % 20
+    values = np.select([column < 5, column < 10], [5e-3, -5e-3], 0.0)
+    found = replace(flat_change(values, own=1e-3, shared=0.0), radius=0.01)
+    region = region_of(found, np.flatnonzero(column < 5))
+    # One and a half radii contain one further column.
+    assert region.volume == pytest.approx((100 - 20) * 1e-4 * 5e-3)
+
+
 def test_a_shared_error_is_estimated_where_nothing_changed() -> None:
     # All distances are 0.4 mm too small, four times what is stated; a quarter changed.
     rng = np.random.default_rng(5)

@@ -639,8 +639,10 @@ def _extent(
 ) -> tuple[NDArray[np.intp], float]:
     """Return the places of a region with its rim, and the uncertainty beyond [m^3].
 
-    The rim ends with the first ring whose mean change is not significant.
+    The rim ends with the first ring whose mean change is not significant, or opposite
+    to that of the region, as at the former place of a moved object.
     """
+    signs = set(np.sign(change.value[members]))
     rim, step = _RIM * change.radius, max(change.radius, change.spacing)
     limit, beyond = rim + _RINGS * step, 0.0
     away, nearest = cKDTree(change.position[members]).query(
@@ -657,8 +659,11 @@ def _extent(
     while rim < limit:
         ring = near[(away[near] > rim) & (away[near] <= rim + step)]
         volume, beyond, _ = _sum_of(change, ring[np.isfinite(change.value[ring])])
+        significant = abs(volume) > _RING_SCORE * beyond
+        if significant and signs == {-np.sign(volume)}:
+            break
         rim += step
-        if abs(volume) <= _RING_SCORE * beyond:
+        if not significant:
             break
     return near[away[near] <= rim], beyond
 
