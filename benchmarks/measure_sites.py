@@ -6,8 +6,7 @@ degrees, stated as they are or too small; a fish, a scan that nothing explains, 
 over the rows, a delay, another height datum, and quiet sites. Sites from number 1000 on
 have a scan of another place, those from 3000 on a delay or drift near the limit of
 detection, and those from 4000 on the same in each scan, as stated. Sites from 5000 on
-have a drift or no error, and those from 6000 on are the same with a stated drift of
-1 cm.
+are the first ones again, with a stated drift of 1 cm in each scan.
 
 Each site is a row of `benchmarks/sites.csv`, with a digest of the code of
 `amulor.site.registration` that measured it. A number of further sites is measured, and
@@ -84,9 +83,8 @@ ELSEWHERE = 1000
 #: From these numbers on a2 has a delay or drift near the limit of detection, and from
 #: the second one on all scans have a stated one.
 NEAR, STATED_ERRORS = 3000, 4000
-#: From the first number on a2 has a drift, or no scan has an error; from the second one
-#: on the same sites have a stated drift of all scans of this size [m].
-DRIFTING, EXPECTED, EXPECTED_DRIFT = 5000, 6000, 0.01
+#: Sites from this number on are the first ones, with a stated drift of all scans [m].
+EXPECTED, EXPECTED_DRIFT = 5000, 0.01
 #: Limits of these sizes [m].
 SIZES = {"drift": (0.002, 0.02), "delay": (0.003, 0.06)}
 #: Parts of the generator's sites without an error or with a fish, and with a delay or
@@ -168,20 +166,17 @@ def version(*folders: str) -> str:
 def drawn(number: int) -> tuple[Any, dict[str, Any]]:
     """Function that scans the site of a number, and its draw in words."""
     settings: dict[str, Any] = {}
-    seed = number
     if number >= EXPECTED:
-        seed = number - EXPECTED + DRIFTING
+        number -= EXPECTED
         settings = {"registration": {"drift": EXPECTED_DRIFT}}
-    rng = np.random.default_rng([40, seed])
-    kind = KINDS[seed % len(KINDS)]
+    rng = np.random.default_rng([40, number])
+    kind = KINDS[number % len(KINDS)]
     rows = ROWS[kind]
     spoiler = SPOILERS[rng.integers(len(SPOILERS))]
     if number >= ELSEWHERE:
         spoiler = "elsewhere"
     if number >= NEAR:
         spoiler = "near" if number < STATED_ERRORS else "stated"
-    if number >= DRIFTING:
-        spoiler = ("drift", "quiet")[number // len(KINDS) % 2]
     position, degrees = STARTS[rng.integers(len(STARTS))]
     stated = STATED[rng.integers(len(STATED))] if number < NEAR else 1.0
     angle = np.radians(degrees)
@@ -215,7 +210,7 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
         starts[name] = dataclasses.replace(start, station=station)
     spoiled: dict[str, Any] = {}
     error, size = "", 0.0
-    if NEAR <= number < DRIFTING:
+    if number >= NEAR:
         error = ("drift", "delay")[rng.integers(2)]
         size = float(np.exp(rng.uniform(*np.log(SIZES[error]))))
     if spoiler == "near":
@@ -258,6 +253,8 @@ def drawn(number: int) -> tuple[Any, dict[str, Any]]:
                 starts[name].station, place=(east, north, up + 6.2)
             )
             starts[name] = dataclasses.replace(starts[name], station=other)
+    if settings:
+        number += EXPECTED
     words = {
         "site": number, "kind": kind, "spoiler": spoiler, "start_m": position,
         "start_deg": degrees, "stated": stated,
@@ -532,6 +529,38 @@ def classes(rows: list[dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
+def expected_drifts(rows: list[dict[str, str]]) -> str:
+    """Shares and errors of sites with and without a stated drift of all scans."""
+    by_number = {int(row["site"]): row for row in rows}
+    again = [row for number, row in by_number.items() if number >= EXPECTED]
+    lines = [
+        "| sites | stated drift | number | rated good | pose components within 1, 1.96 "
+        "errors | coordinates of points | largest error of a position, median |",
+        "| --- " * 7 + "|",
+    ]
+    for words, error, good in (
+        ("drift, not detected", "drift", True),
+        ("drift, detected", "drift", False),
+        ("quiet", "quiet", True),
+    ):
+        some = [
+            row for row in again if row["spoiler"] == error
+            and good == bool(good_of([by_number[int(row["site"]) - EXPECTED]]))
+        ]  # fmt: skip
+        before = [by_number[int(row["site"]) - EXPECTED] for row in some]
+        for stated, group in (("none", before), ("1 cm", some)):
+            largest = [float(row["largest_m"]) for row in group if int(row["poses"])]
+            cells = [
+                shares(good_of(group), key).replace(" |", ",").strip(", ")
+                for key in ("within", "points")
+            ]
+            lines.append(
+                f"| {words} | {stated} | {len(group)} | {len(good_of(group))} | "
+                f"{' | '.join(cells)} | {1e3 * np.median(largest):.1f} mm |"
+            )
+    return "\n".join(lines)
+
+
 def reasons(rows: list[dict[str, str]]) -> str:
     """Numbers of contradicted sites by first reason and error (Markdown)."""
     firsts = [
@@ -576,9 +605,18 @@ def honest_contradicted(rows: list[dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
-def write_page(rows: list[dict[str, str]], total: int, shown: list[str]) -> None:
+def counted_of(rows: list[dict[str, str]], shown: list[str]) -> list[dict[str, str]]:
+    """Rows of some versions, without those of sites with expected drifts."""
+    return [
+        row for row in rows if row["version"] in shown and int(row["site"]) < EXPECTED
+    ]
+
+
+def write_page(every: list[dict[str, str]], shown: list[str]) -> None:
     """Replace the tables of the page of benchmarks."""
     text = PAGE.read_text("utf-8")
+    total = sum(int(row["site"]) < EXPECTED for row in every)
+    rows = counted_of(every, shown)
     counts = [
         f"{sum(row['version'] == one for row in rows):,} of version `{one}`"
         for one in shown
@@ -589,6 +627,7 @@ def write_page(rows: list[dict[str, str]], total: int, shown: list[str]) -> None
         "quantities of random sites": quantities(rows),
         "reasons of random sites": reasons(rows),
         "honest sites contradicted": honest_contradicted(rows),
+        "expected drifts": expected_drifts(every),
     }.items():
         marks = rf"(<!-- {name} -->\n).*?(<!-- end of {name} -->\n)"
         text, found = re.subn(
@@ -613,11 +652,11 @@ def main() -> None:
     go_on(TABLE, COLUMNS, measured, options, present)
     rows = rows_of(TABLE)
     shown = options.of or [present]
-    some = [row for row in rows if row["version"] in shown]
     if options.page:
-        write_page(some, len(rows), shown)
+        write_page(rows, shown)
+    some = counted_of(rows, shown)
     texts = (table, quantities, classes, reasons, honest_contradicted)
-    print(*(text(some) for text in texts), sep="\n\n")
+    print(*(text(some) for text in texts), expected_drifts(rows), sep="\n\n")
 
 
 def measuring_options(about: str | None) -> argparse.ArgumentParser:

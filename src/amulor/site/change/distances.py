@@ -661,6 +661,8 @@ def _extent(
         volume, beyond, _ = _sum_of(change, ring[np.isfinite(change.value[ring])])
         significant = abs(volume) > _RING_SCORE * beyond
         if significant and signs == {-np.sign(volume)}:
+            # The rim may contain as much of the opposite change.
+            beyond = math.hypot(beyond, volume)
             break
         rim += step
         if not significant:
