@@ -26,14 +26,13 @@ from amulor.rejection.polarization import (
     cross_polarized,
     keep_water,
     polarization,
-    stokes_vectors,
-    unmix_stokes,
 )
 from amulor.rejection.polarization_difference import polarization_difference
 from amulor.rejection.range_profile import range_profile
 from amulor.rejection.ratios import Ratio, target_ratio, water_ratio
 from amulor.rejection.reference.attach import with_open_water
 from amulor.rejection.smooth_surface import smooth_surface
+from amulor.rejection.stokes import stokes_vectors, unmix_stokes
 
 #: Name of the method `polarization` in version 0.1.0.
 unmix = polarization

@@ -295,7 +295,12 @@ def test_unmixing_in_stokes_form_separates_target_and_water(by_hand: Make) -> No
 
 
 def test_more_analysers_make_it_better_and_the_error_true(by_hand: Make) -> None:
-    arguments = {"launched": "V", "target_mueller": TARGET, "water_mueller": WATER}
+    arguments = {
+        "launched": "V",
+        "target_mueller": TARGET,
+        "water_mueller": WATER,
+        "mueller_uncertainty": 0.0,
+    }
     four = by_hand(
         frequency=[39e6],
         channels=_shares(["VV", "VH", "VP", "VR"]),
