@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
+from scipy.stats import binomtest
 
 from amulor import cube as cubes
 from amulor import imaging, io
@@ -305,44 +306,49 @@ def _distance_pulls(cloud, result, parts, off, rng):
 
 
 def summary(rows: list[dict[str, str]]) -> None:
-    """Print coverage and errors by scene and water."""
-    groups = [(scene, water) for scene in SCENES for water in WATERS]
-    for group in [*groups, ()]:
-        chosen = [
-            row for row in rows if not group or (row["scene"], row["water"]) == group
-        ]
-        if chosen:
-            print(_line_of(" ".join(group) or "all", chosen))
-
-
-def _line_of(name: str, rows: list[dict[str, str]]) -> str:
-    """Line of the summary: number of good sites, errors [mm], coverage [%]."""
+    """Print the tables of coverage and errors that stand in docs/benchmarks.md."""
+    print("| scene | good sites | trajectory | lines | tripod |", end="")
+    print(" points within 1, 1.96 | distances within 1, 1.96 |")
+    print(7 * "| --- " + "|")
+    for group in (*SCENES, "all"):
+        chosen = [row for row in rows if group in ("all", row["scene"])]
+        good = [row for row in chosen if row["good"] == "1"]
+        if good:
+            words = [group, f"{len(good)} of {len(chosen)}"]
+            for column in ("before", "line", "tripod"):
+                words.append(f"{np.median(_column(good, column)):.2g} mm")
+            for kind in ("points", "distances"):
+                shares = [100 * _column(good, f"{kind}{k}") for k in (1, 2)]
+                errors = [f"{part.std() / len(good) ** 0.5:.1f}" for part in shares]
+                words.append(
+                    ", ".join(
+                        f"{part.mean():.1f} +- {error}"
+                        for part, error in zip(shares, errors, strict=True)
+                    )
+                    + " %"
+                )
+            print("| " + " | ".join(words) + " |")
+    print("\n| quantity | stated (median) | rms error | within 1.96 |", end="")
+    print(" its 95 % interval |\n" + 5 * "| --- " + "|")
     good = [row for row in rows if row["good"] == "1"]
-
-    def numbers(column: str) -> np.ndarray:
-        return np.array([float(row[column]) for row in good])
-
-    parts = [f"{name}: {len(good)} of {len(rows)} good"]
-    if not good:
-        return parts[0]
-    parts += [
-        f"{column} {np.median(numbers(column)):.2f} mm"
-        for column in ("before", "line", "tripod")
-    ]
-    parts += [
-        f"{kind} {100 * numbers(f'{kind}1').mean():.1f} and "
-        f"{100 * numbers(f'{kind}2').mean():.1f} %"
-        for kind in ("points", "distances")
-    ]
-    parts.append(f"worst {numbers('worst').max():.1f}")
-    for column, scale, unit in (("latency", 1e3, "ms"), ("boresight", 57.3, "deg")):
-        sigma = numbers(f"{column}_sigma")
-        inside = np.abs(numbers(column)) < 1.96 * sigma
-        parts.append(
-            f"{column} {scale * np.median(sigma):.3f} {unit}, "
-            f"{100 * inside.mean():.0f} %"
+    for name, column, scale, unit in (
+        ("clock offset", "latency", 1e3, "ms"),
+        ("boresight about down", "boresight", np.degrees(1), "degrees"),
+    ):
+        error, sigma = _column(good, column), _column(good, f"{column}_sigma")
+        inside = int((np.abs(error) < 1.96 * sigma).sum())
+        share = binomtest(inside, len(good)).proportion_ci()
+        print(
+            f"| {name} | {scale * np.median(sigma):.2g} {unit} | "
+            f"{scale * np.sqrt(np.mean(error**2)):.2g} {unit} | "
+            f"{inside} of {len(good)} | {100 * share.low:.0f} to "
+            f"{100 * share.high:.0f} % |"
         )
-    return "; ".join(parts)
+
+
+def _column(rows: list[dict[str, str]], name: str) -> np.ndarray:
+    """Numbers of a column."""
+    return np.array([float(row[name]) for row in rows])
 
 
 def main(path: Path, *limits: str) -> None:
