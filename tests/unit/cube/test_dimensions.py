@@ -149,6 +149,7 @@ REJECTION: dict[str, Step] = {
     "open_water": rejection.open_water,
     "frequency": rejection.frequency,
     "choose_frequency": rejection.choose_frequency,
+    "smooth_surface": rejection.smooth_surface,
     "choose_channel": rejection.choose_channel,
     "with_open_water": lambda cube: rejection.with_open_water(cube, cube),
 }
