@@ -22,7 +22,8 @@ LEFT_OUT = {
         "follow_photons", "run_slab",
     },
     "amulor.transport._kernels.interfaces": {
-        "fresnel", "passed", "next_level", "in_plane", "apply_element", "cross_interface",
+        "fresnel", "passed", "next_level", "in_plane", "apply_element",
+        "cross_interface",
     },
     "amulor.transport._kernels.sampling": {"fill_uniform"},
     "amulor.optics.small_angle._kernels": {"spread"},
