@@ -298,12 +298,7 @@ class _LateLight:
 
     def at(self, place: float) -> Complex:
         """Return the logarithm at a place, over (frequencies)."""
-        parts = (
-            [np.interp(place, self.place, row) for row in part]
-            for part in (self.logarithm.real, self.logarithm.imag)
-        )
-        real, imaginary = (np.array(part) for part in parts)
-        return np.asarray(real + 1j * imaginary)
+        return np.array([np.interp(place, self.place, row) for row in self.logarithm])
 
 
 def _separated(
