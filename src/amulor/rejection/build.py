@@ -15,6 +15,30 @@ from amulor.rejection import quality
 from amulor.rejection.covariance import Covariance, phase_uncertainties
 
 
+def signal_variables(
+    signal: NDArray[np.complex128], uncertainty: Covariance
+) -> dict[str, NDArray[Any]]:
+    """Return the variables of a signal and its errors."""
+    return {
+        "in_phase": signal.real,
+        "quadrature": signal.imag,
+        "in_phase_uncertainty": np.sqrt(uncertainty.in_phase),
+        "quadrature_uncertainty": np.sqrt(uncertainty.quadrature),
+        "in_phase_quadrature_covariance": uncertainty.cross,
+    }
+
+
+def common_variables(common: Covariance | None) -> dict[str, NDArray[Any]]:
+    """Return the variables of the errors that pixels share; none without."""
+    if common is None:
+        return {}
+    return {
+        "common_in_phase_uncertainty": np.sqrt(common.in_phase),
+        "common_quadrature_uncertainty": np.sqrt(common.quadrature),
+        "common_covariance": common.cross,
+    }
+
+
 def target_cube(
     samples: xr.Dataset,
     target_signal: NDArray[np.complex128],
@@ -51,11 +75,7 @@ def target_cube(
         water_is_in=water_is_in,
     )
     variables: dict[str, NDArray[Any]] = {
-        "in_phase": target_signal.real,
-        "quadrature": target_signal.imag,
-        "in_phase_uncertainty": np.sqrt(uncertainty.in_phase),
-        "quadrature_uncertainty": np.sqrt(uncertainty.quadrature),
-        "in_phase_quadrature_covariance": uncertainty.cross,
+        **signal_variables(target_signal, uncertainty),
         "water_in_phase": water_signal.real,
         "water_quadrature": water_signal.imag,
         "quality_flag": flags.flag,
@@ -72,12 +92,7 @@ def target_cube(
             "residual_in_phase": residual.real,
             "residual_quadrature": residual.imag,
         }
-    if common is not None:
-        variables |= {
-            "common_in_phase_uncertainty": np.sqrt(common.in_phase),
-            "common_quadrature_uncertainty": np.sqrt(common.quadrature),
-            "common_covariance": common.cross,
-        }
+    variables |= common_variables(common)
     for name, phase in phase_uncertainties(target_signal, terms or {}).items():
         variables[f"{PHASE_PREFIX}{name}"] = phase
     if water_is_in:

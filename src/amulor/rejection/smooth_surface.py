@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag, tiles
+from amulor.rejection.build import common_variables, signal_variables
 from amulor.rejection.methods import Needs, load, method
 from amulor.rejection.observation import Observation
 
@@ -235,21 +236,8 @@ def _with_prior(target: xr.Dataset, window: int) -> xr.Dataset:
             signal, variance, modulation_frequency=scan.frequency, window=window
         )
     )
-    turned = errors.turned(turn)
-    values = {
-        "in_phase": (signal * turn).real,
-        "quadrature": (signal * turn).imag,
-        "in_phase_uncertainty": np.sqrt(turned.in_phase),
-        "quadrature_uncertainty": np.sqrt(turned.quadrature),
-        "in_phase_quadrature_covariance": turned.cross,
-    }
-    if common is not None:
-        turned = common.turned(turn)
-        values |= {
-            "common_in_phase_uncertainty": np.sqrt(turned.in_phase),
-            "common_quadrature_uncertainty": np.sqrt(turned.quadrature),
-            "common_covariance": turned.cross,
-        }
+    values = signal_variables(signal * turn, errors.turned(turn))
+    values |= common_variables(None if common is None else common.turned(turn))
     return target.assign(
         {name: target[name].copy(data=value) for name, value in values.items()}
     )
