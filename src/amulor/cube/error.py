@@ -57,6 +57,16 @@ def flags_of_pixels(
     return np.bitwise_or.reduce(flags, axis=0).astype(np.int16), unseen | outlying
 
 
+def may_contain(cube: xr.Dataset, light: str) -> bool:
+    """Return whether samples may contain late_echo or corner_light.
+
+    Measured samples do unless they say otherwise. Models that do not mention such light
+    simulate none.
+    """
+    default = "absent" if cube.attrs.get("simulated", 0) else "present"
+    return str(cube.attrs.get(light, default)) != "absent"
+
+
 def instrument_phase(channel: xr.Dataset, survey: Survey | None) -> NDArray[np.float64]:
     """Return the phase uncertainty of the instrument at each frequency [rad].
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor.cube.error import may_contain
 from amulor.cube.tiles import Span
 from amulor.errors import SurveyError
 from amulor.imaging.observation import Observation
@@ -125,8 +126,7 @@ def corner_error(
     amplitude and the survey, and is at most 1.
     """
     channel, survey = observation.channel, observation.survey
-    absent = "absent" if channel.attrs.get("simulated", 0) else "present"
-    if survey is None or channel.attrs.get("corner_light", absent) == "absent":
+    if survey is None or not may_contain(channel, "corner_light"):
         return None, None
     position = observation.geometry.position(slant_range)
     name = str(channel["polarization"].item())

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE, QualityFlag
-from amulor.cube.error import flags_of_pixels
+from amulor.cube.error import flags_of_pixels, may_contain
 from amulor.cube.readings import lag_of
 from amulor.cube.schema import PHASE_PREFIX
 from amulor.cube.tiles import Span
@@ -193,10 +193,7 @@ class Observation:
     @property
     def has_late_light(self) -> bool:
         """Whether the samples may contain late light; False if simulated without."""
-        simulated = self.channel.attrs.get("late_echo")
-        if simulated is None:
-            return not self.channel.attrs.get("simulated", 0)
-        return str(simulated) != "absent"
+        return may_contain(self.channel, "late_echo")
 
     def joint_values(self, *names: str) -> tuple[float, ...] | None:
         """Named attributes of a joint estimation; None if any is missing."""

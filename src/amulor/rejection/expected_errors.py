@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 from scipy.special import chdtri
 
-from amulor.cube.error import instrument_phase
+from amulor.cube.error import instrument_phase, may_contain
 from amulor.optics import ambiguity, detection, ranging
 from amulor.optics._geometry import Geometry
 from amulor.optics._mixed_beam import mixed_beams
@@ -70,7 +70,9 @@ def _corner_error(
     interval: Interval,
 ) -> Floats:
     """Return the range errors by light that corners reflect twice; 0 without [m]."""
-    # Cubes without corner light load no module of images.
+    if target.amulor.survey is None or not may_contain(target, "corner_light"):
+        return np.zeros(errors.noise.shape)
+    # Other cubes load no module of images.
     from amulor.imaging.corners import corner_error
     from amulor.imaging.observation import observe
     from amulor.imaging.ranges import weight_of

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from amulor.cube import tiles
+from amulor.cube.error import may_contain
 from amulor.cube.readings import lag_of
 from amulor.rejection.covariance import Covariance
 from amulor.survey import Survey
@@ -139,11 +140,7 @@ class Observation:
     @property
     def has_late_light(self) -> bool:
         """Whether samples may contain late echoes; False if simulated without."""
-        late = self.cube.attrs.get("late_echo")
-        if late is None:
-            # Models that do not mention late light simulate none.
-            return not self.cube.attrs.get("simulated", 0)
-        return str(late) != "absent"
+        return may_contain(self.cube, "late_echo")
 
     def flat(self) -> FlatSamples:
         """Return the samples over (pixel or reference, channel, frequency)."""
