@@ -123,7 +123,9 @@ def checked(shape: Shape, name: str) -> Shape:
                 f"{count} vertices; it is damaged, write it again"
             )
         faces = faces[np.all(finite[faces], axis=1)]
-        return Shape(**{**vars(shape), "faces": faces})
+        # A vertex with one damaged coordinate may have another beyond all measure.
+        position = np.where(finite[:, np.newaxis], shape.position, np.nan)
+        return Shape(**{**vars(shape), "faces": faces, "position": position})
     if finite.all():
         return Shape(**{**vars(shape), "faces": None})
     return thinned(Shape(**{**vars(shape), "faces": None}), np.flatnonzero(finite))

@@ -189,7 +189,8 @@ class Space:
         self.scans = list(scans)
         #: Residuals of overlapping scans of a site.
         self.pairs = list(pairs)
-        low, high = (_ends(shape.position, side) for side in (np.nanmin, np.nanmax))
+        low: NDArray[np.float64] = np.nanmin(shape.position, axis=0)
+        high: NDArray[np.float64] = np.nanmax(shape.position, axis=0)
         #: Numbers travel in 32 bits, as differences from this place [m].
         self.centre = np.round((low + high) / 2, 3)
         self.size = high - low
@@ -354,10 +355,3 @@ def _single(values: NDArray[np.float64]) -> NDArray[np.float32]:
         single = values.astype("<f4")
     single[~np.isfinite(single)] = np.nan
     return single
-
-
-def _ends(position: NDArray[np.float64], side: Any) -> NDArray[np.float64]:
-    ends: NDArray[np.float64] = side(
-        np.where(np.isfinite(position), position, np.nan), axis=0
-    )
-    return ends

@@ -140,6 +140,23 @@ def test_a_ply_of_another_program_is_read(tmp_path: Path, form: str) -> None:
     assert_array_equal(shown.colour[2], [9, 8, 7])
 
 
+def test_a_vertex_with_one_damaged_coordinate_does_not_move_the_view(
+    tmp_path: Path,
+) -> None:
+    corners = "0 0 0\n1 0 0\n1 2 0\n1e30 0 nan\n"
+    path = tmp_path / "damaged.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty double x\n"
+        "property double y\nproperty double z\nelement face 2\n"
+        "property list uchar int vertex_indices\nend_header\n"
+        f"{corners}3 0 1 2\n3 1 2 3\n"
+    )
+    shown = space.opened(path, unit=1.0)
+    assert_array_equal(shown.faces, [[0, 1, 2]])
+    assert_allclose(shown.centre, [0.5, 1, 0])
+    assert_allclose(shown.size, [1, 2, 0])
+
+
 def test_a_damaged_ply_header_gives_one_line(tmp_path: Path) -> None:
     good = (
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\n"
