@@ -93,6 +93,8 @@ html_search_scorer = str(HERE / "_static" / "scorer.js")
 html_css_files = ["site.css"]
 html_js_files = ["copy.js", "enlarge.js", "learn/tables.js", "learn/learn.js"]
 html_theme_options = {
+    # Branches of other packages would be nine tenths of each page of the API.
+    "collapse_navigation": True,
     "header_links_before_dropdown": 6,
     "navbar_align": "left",
     "navbar_end": ["theme-switcher"],
