@@ -12,10 +12,11 @@ from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
 from amulor.simulation.second_reflection import second_reflection
+from amulor.simulation.texture_blur import texture_change
 from amulor.simulation.vehicle import VehicleMotion
 from amulor.survey import Survey, WaterProperties, counting, surface, water_properties
 from amulor.survey.directions import Floats, scan_directions
-from amulor.survey.view import View, medium_of, view
+from amulor.survey.view import View, line_of_sight, medium_of, view
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,11 @@ class Geometry:
     """Cosine of the angle between surface normal and receiver, times the visible share
     of the aperture [1]."""
     brightness: Floats
-    """Radiance towards the receiver, relative to a Lambertian surface with the target's
-    reflectance, from BRDF and texture [1]."""
+    """Radiance of the lit point towards the receiver, relative to a Lambertian surface
+    with the target's reflectance, from BRDF and texture [1]."""
+    surroundings: NDArray[np.complex128] | None
+    """Change of `brightness` by scattered light from the surroundings of a texture,
+    shape (frequency, row, column) with 0 Hz first; None without a texture [1]."""
     twice: NDArray[np.complex128] | None
     """Light reflected by two surfaces, over that of a white surface that faces the
     receiver, shape (frequency, row, column) with 0 Hz first; None if left out [1]."""
@@ -150,7 +154,25 @@ def trace(
     )
     return_path = np.full(met.size, np.inf)
     return_path[met] = rays.return_distance(hits.point[met], receiver, medium=medium)
-    shape = azimuth.shape
+    shape, seen = azimuth.shape, view(survey, azimuth, elevation)
+    texture = scene.texture(met_in_scene)
+    change = texture_change(
+        survey,
+        setup.water,
+        scene,
+        hits,
+        texture,
+        beam=beam,
+        sight=line_of_sight(survey, azimuth, elevation),
+        view=seen,
+        place=place,
+    )
+    bright = _brightness(survey, texture, hits, beam, receiver)
+    surroundings = None
+    if change is not None:
+        # Any BRDF is linear in the texture.
+        matte = _brightness(survey, texture + 1, hits, beam, receiver) - bright
+        surroundings = (matte * change).reshape(-1, *shape)
     twice = None
     if survey.scan.second_reflection:
         twice = second_reflection(
@@ -165,7 +187,7 @@ def trace(
         azimuth=azimuth,
         elevation=elevation,
         time=time,
-        view=view(survey, azimuth, elevation),
+        view=seen,
         point=met_in_scene.point.reshape(*shape, 3),
         target=hits.target.reshape(shape),
         slant_range=hits.distance.reshape(shape) + beam.length_before,
@@ -173,9 +195,8 @@ def trace(
         optical_path=path.reshape(shape),
         return_path=return_path.reshape(shape),
         cosine=(cosine * fraction).reshape(shape),
-        brightness=_brightness(
-            survey, scene.texture(met_in_scene), hits, beam, receiver
-        ).reshape(shape),
+        brightness=bright.reshape(shape),
+        surroundings=surroundings,
         twice=twice,
     )
 
@@ -194,6 +215,10 @@ class Standing:
     def in_instrument(self, hits: Hits) -> Hits:
         """Return hits in the instrument's axes."""
         return hits
+
+    def of(self, index: NDArray[np.intp]) -> Standing:
+        """Return the place of some of the beams."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -220,6 +245,10 @@ class Placed(Standing):
             point=(back @ away)[..., 0],
             normal=(back @ hits.normal[..., None])[..., 0],
         )
+
+    def of(self, index: NDArray[np.intp]) -> Standing:
+        """Return the place of some of the beams."""
+        return Placed(self.position[index], self.rotation[index])
 
 
 def _brightness(

@@ -78,11 +78,10 @@ class Chain:
         """Setup at all frequencies that affect the outputs, including harmonics."""
         if self.errors.clock is None and self.errors.harmonic is None:
             return self.setup
-        return Setup(
-            self.survey.with_(
-                {"instrument.modulation_frequencies": self._light_frequencies.tolist()}
-            )
-        )
+        frequencies = {
+            "instrument.modulation_frequencies": self._light_frequencies.tolist()
+        }
+        return replace(self.setup, survey=self.survey.with_(frequencies))
 
     @property
     def _light_frequencies(self) -> Floats:

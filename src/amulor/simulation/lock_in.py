@@ -104,7 +104,10 @@ def target_light(
         return _light(model.echo(frequencies, surface=surface, **common) * throughput)
 
     transmission = geometry.view.transmission
-    direct = echo(surface, fraction * geometry.brightness * transmission)
+    bright: Any = geometry.brightness
+    if geometry.surroundings is not None:
+        bright = bright + geometry.surroundings[:, None]
+    direct = echo(surface, fraction * bright * transmission)
     if geometry.twice is None:
         return direct
     # Two reflections leave no polarization.

@@ -252,7 +252,7 @@ def _light(
     """Return the geometry of beams, and the light received from targets and water."""
     setup = setting.light_setup
     tell("following the beams to the targets", 0.0)
-    geometry = geometry_of.trace(setting.setup, directions=directions, lag=lag)
+    geometry = geometry_of.trace(setup, directions=directions, lag=lag)
     tell(f"light of the targets, {model.title}", 0.1)
     with part(0.1, 0.3):
         target = lock_in.target_light(setup, geometry, model=model)

@@ -113,6 +113,7 @@ class Texture:
                 f"{target.file}: has no image with coordinates (or the image lies not "
                 "beside it); export them, or leave out texture"
             )
+        self._image = self._image.convert("RGBA")
 
     def __call__(self, triangle: NDArray[np.intp], share: Floats) -> Floats:
         """Return the brightness of points on triangles."""
@@ -122,8 +123,7 @@ class Texture:
             from trimesh.visual.color import uv_to_interpolated_color
 
             value = np.asarray(
-                uv_to_interpolated_color(value, self._image.convert("RGBA")),
-                dtype=float,
+                uv_to_interpolated_color(value, self._image), dtype=float
             )
         bright: Floats = value[:, self._channel].mean(axis=1) / 255
         return bright

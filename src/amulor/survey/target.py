@@ -199,8 +199,8 @@ class Mesh(_Target):
     texture: Literal["vertex-colours", "image"] | None = None
     """Source of the brightness in the file: colors of the vertices, or an image with
     texture coordinates. A value of 255 means `reflectance`, and 0 means black. The
-    brightness is uniform by default. Scattered light, which blurs a texture in turbid
-    water, is computed as that of a uniform target."""
+    brightness is uniform by default. Turbid water blurs a texture, but not the edge to
+    another target."""
     texture_channel: Literal["mean", "red", "green", "blue"] | None = None
     """Color channel of the texture that gives the reflectance at the laser wavelength;
     the mean of all channels by default."""

@@ -91,19 +91,15 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
     20 cm. The amplitude of the water signal from 2 m is 1 % too large for a baseline of
     20 cm. The echo of a target is computed with its actual way back.
     """
-    instrument, scan = survey.instrument, survey.scan
-    receiver, medium = instrument.receiver, medium_of(survey)
+    medium = medium_of(survey)
     standoff, acceptance = seen_from_water(survey, medium)
-    receiver_turns = scan.moves == "both"
-    axis = rays.direction(
-        receiver.azimuth + (azimuth - scan.azimuth if receiver_turns else 0 * azimuth),
-        receiver.elevation
-        + (elevation - scan.elevation if receiver_turns else 0 * elevation),
-    )
+    axis = _axis(survey, azimuth, elevation)
     beam = rays.enter_water(
-        instrument.emitter.position, rays.direction(azimuth, elevation), medium=medium
+        survey.instrument.emitter.position,
+        rays.direction(azimuth, elevation),
+        medium=medium,
     )
-    sight = rays.enter_water(receiver.position, axis, medium=medium)
+    sight = line_of_sight(survey, azimuth, elevation)
     along = np.sum(beam.direction * sight.direction, axis=-1)
     if np.min(along) < _SMALLEST_COSINE:
         angle = np.degrees(np.arccos(np.clip(np.min(along), -1, 1)))
@@ -142,6 +138,28 @@ def view(survey: Survey, azimuth: Floats, elevation: Floats) -> View:
         transmission=_transmission(
             survey, medium, rays.direction(azimuth, elevation), axis
         ),
+    )
+
+
+def line_of_sight(survey: Survey, azimuth: Floats, elevation: Floats) -> rays.Beam:
+    """Return the receiver's axis in the water, for beams of given directions."""
+    return rays.enter_water(
+        survey.instrument.receiver.position,
+        _axis(survey, azimuth, elevation),
+        medium=medium_of(survey),
+    )
+
+
+def _axis(survey: Survey, azimuth: Floats, elevation: Floats) -> Floats:
+    """Return the direction of the receiver's axis before the water [1]."""
+    receiver, scan = survey.instrument.receiver, survey.scan
+    if scan.moves == "both":
+        return rays.direction(
+            receiver.azimuth + azimuth - scan.azimuth,
+            receiver.elevation + elevation - scan.elevation,
+        )
+    return rays.direction(
+        receiver.azimuth + 0 * azimuth, receiver.elevation + 0 * elevation
     )
 
 

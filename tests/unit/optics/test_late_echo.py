@@ -10,9 +10,9 @@ from late_photons import late_range
 from scipy.constants import speed_of_light
 
 from amulor.optics import rays
+from amulor.optics._delayed_light import exponents
 from amulor.optics.late_echo import (
     RELATIVE_UNCERTAINTY,
-    _exponents,
     late_echo,
     sharp_receiver_late_echo,
 )
@@ -155,7 +155,7 @@ def test_many_small_scatterings_delay_as_a_random_walk_of_directions(
     scattered = scattering * water.forward_split(0.01)[0] * moment / 2
     low, high = (round(7 * np.log2(value)) for value in (0.01, 1.0))
     far = round(7 * np.log2(depth))
-    table = _exponents(water, 0.01, rate, (low, high, far - 45, far))
+    table = exponents(water, 0.01, rate, (low, high, far - 45, far))
     found = table[0] * scattering + table[1] * scattering**2 + table[2] * scattering**3
     expected = -np.log(np.cosh(2 ** (far / 7) * np.sqrt(-rate * scattered)))
     # The series ends before the third power of the first term.

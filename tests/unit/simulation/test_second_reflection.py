@@ -91,3 +91,14 @@ def test_the_samples_state_whether_they_contain_such_light() -> None:
         for twice in (False, True)
     ]
     assert words == ["absent", "present"]
+
+
+def test_light_at_harmonics_is_reflected_twice_too() -> None:
+    harmonic = {"instrument.errors": {"harmonic": {"order": 3, "fraction": 0.1}}}
+    stated = _corner().with_(harmonic)
+    plain = stated.with_({"scan.second_reflection": False})
+    signals = []
+    for each in (stated, plain):
+        truth = simulate(each, rng=1, model=ClosureModel()).amulor.truth
+        signals.append(np.hypot(truth["target_in_phase"], truth["target_quadrature"]))
+    assert np.all(signals[0] > signals[1])
