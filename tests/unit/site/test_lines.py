@@ -19,6 +19,8 @@ from amulor.site.check import check
 from amulor.site.load import range_image_of
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.line import by_direction, motion_of, rows_of_scan
+from amulor.site.registration.network import drift_effect
+from amulor.site.registration.pair import compared
 from amulor.site.registration.register import (
     refined_lines,
     register,
@@ -306,11 +308,44 @@ def test_corrected_files_place_points_as_the_site_does(
     np.testing.assert_allclose(xyz, cloud.position[mine], atol=1.5e-4)
 
 
-def test_the_rest_of_a_walk_is_below_the_noise_of_a_range(drawn, adjusted) -> None:
+def test_forms_and_rest_of_a_drift_are_a_random_walk(drawn, adjusted) -> None:
     motion = adjusted[1]["line 1"].motion
-    # 1 mm of noise, and the rest of a walk: the sum of 1 / (k pi)^2 beyond the forms.
-    beyond = np.arange(motion.forms[0] + 1, 100_000)
-    rest = motion.drift[0] * np.sqrt((1 / (beyond * np.pi) ** 2).sum())
-    np.testing.assert_allclose(motion.rest, rest, rtol=0.1)
-    assert rest < 0.4e-3 or motion.forms[0] == 32
-    assert motion.pieces.max() == 2 * motion.forms[0]
+    pixel = np.flatnonzero(np.isfinite(motion.course.ravel()))[::97]
+    share = motion.course.ravel()[pixel]
+    walks = motion._along(share)[1:]
+    for size, walk, rest in zip(motion.drift, walks, motion.rests(pixel), strict=True):
+        variance = (walk**2).sum(axis=0) + (rest**2).sum(axis=0)
+        # A walk of variance s, less its mean: 1/3 - s (1 - s). 64 forms lack up to
+        # 2 sum of 1 / (k pi)^2 beyond k = 64.
+        true = size**2 * (1 / 3 - share * (1 - share))
+        np.testing.assert_allclose(variance, true, rtol=0, atol=0.0033 * size**2)
+    assert len(walks[0]) == motion.forms[0]
+
+
+def test_the_rest_of_a_drift_acts_as_if_it_were_an_unknown(drawn, adjusted) -> None:
+    """Forms that are unknowns have derivatives, computed by moving the points."""
+    result, surfaces, _ = adjusted
+    rng = np.random.default_rng(3)
+    for name, source, target in (
+        ("line 1", "line 1", "tripod"),
+        ("line 2", "tripod", "line 2"),
+    ):
+        pair = compared(
+            surfaces[source], surfaces[target],
+            (result.poses[source], result.poses[target]), gate=0.2, errors={},
+        )  # fmt: skip
+        assert pair is not None
+        rows = rng.normal(size=(len(pair.distance), 2))
+        motion = surfaces[name].motion
+        # As if only the first two forms were unknowns.
+        fewer = replace(motion, forms=(2, 2))
+        effects = drift_effect(name, fewer, pair, rows).reshape(2, 3, -1, 2)
+        for number, quantity in enumerate(("position", "attitude")):
+            for axis, label in enumerate(("east", "north", "up")):
+                key = f"drift 3 of {quantity} {label}: {name}"
+                column = pair.by_target[:, 6 + pair.keys.index(key)]
+                # Correcting an error moves the points against it.
+                np.testing.assert_allclose(
+                    -effects[number, axis, 0], column @ rows, rtol=1e-2,
+                    atol=3e-3 * np.abs(column[:, None] * rows).sum(axis=0).max(),
+                )  # fmt: skip

@@ -101,6 +101,44 @@ def test_pairs_add_their_observations_with_weight_and_trust(
     assert_allclose(np.diag(system.scatter), [0.0] * 18 + [1.0] * 2)
 
 
+def test_noise_alone_does_not_determine_an_unknown() -> None:
+    """The mean square of a value that only noise multiplies stays its variance."""
+    rng = np.random.default_rng(11)
+    estimates: dict[str, list[np.ndarray]] = {"plain": [], "combined": []}
+    for _ in range(400):
+        truth = rng.normal(0, 1, 2)
+        seen = np.stack([np.full(300, 0.3), np.zeros(300)], axis=1)
+        x, z = (seen + rng.normal(0, [0.0, 0.3], seen.shape) for _ in range(2))
+        distance = -seen @ truth + rng.normal(0, 1, 300)
+        for kind, values in estimates.items():
+            system = network.System(2)
+            system.add(np.arange(2), z.T @ x, z.T @ distance)
+            if kind == "combined":
+                system.combine(z.T @ z)
+            system.add_prior(np.arange(2), np.eye(2), np.zeros(2))
+            change = -np.linalg.solve(system.matrix, system.gradient)
+            values.append(change - truth)
+    plain, combined = (
+        np.mean(np.square(errors), axis=0) for errors in estimates.values()
+    )
+    # 300 values of 0.3 with a noise of 1 give 27 + 1; nothing is known of the second.
+    assert combined[0] == pytest.approx(1 / 28, rel=0.25)
+    assert combined[1] == pytest.approx(1.0, rel=0.25)
+    assert plain[1] > 3
+
+
+def test_equal_derivatives_and_noise_change_nothing() -> None:
+    rng = np.random.default_rng(12)
+    rows = rng.normal(size=(30, 4)) * [1.0, 1e3, 1e-3, 1.0]
+    rows[:, 3] = 0.0
+    system = network.System(4)
+    system.add(np.arange(4), rows.T @ rows, rows.T @ rng.normal(size=30))
+    matrix, gradient = system.matrix.copy(), system.gradient.copy()
+    system.combine(rows.T @ rows)
+    assert_allclose(system.matrix, matrix, rtol=1e-9, atol=1e-9)
+    assert_allclose(system.gradient, gradient, rtol=1e-9, atol=1e-9)
+
+
 def test_a_fixed_scan_has_no_unknowns(state: State) -> None:
     pairs = [made_pair("a", "b", 5)]
     free, fixed = network.Layout(state, None), network.Layout(state, "a")

@@ -168,6 +168,7 @@ def align(
             steady=gate is not None,
             free=free,
             part=0.5 if fine >= _HALF_STEPS else 1.0,
+            surfaces=surfaces,
         )
         state = outcome.state
         free = outcome.free if late else 0
@@ -180,7 +181,9 @@ def align(
         for _ in range(4 if disagreements else 0):
             pairs = _pairs(surfaces, overlaps, state, removed, trees, None, pairs, most)
             trust, disagreements = _pair_weights(pairs, state, surfaces)
-            state = network.step(state, pairs, ties, trust, free=free).state
+            state = network.step(
+                state, pairs, ties, trust, free=free, surfaces=surfaces
+            ).state
     tell("covariance of all poses", 0.85)
     # Between visits the surface may have changed.
     same = [

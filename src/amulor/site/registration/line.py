@@ -32,6 +32,8 @@ Numbers = NDArray[np.intp]
 
 #: Least and largest number of forms of a drift along the line [1].
 _FEWEST, _MOST = 6, 32
+#: Last form of a drift that counts; the rest beyond the unknowns is noise [1].
+_LAST = 64
 #: Largest rest of a random walk beyond its forms, in standard uncertainties of a range.
 _REST = 1 / 3
 #: Empty rows between rows of both directions; more than pixels of a block.
@@ -77,16 +79,17 @@ class Motion:
     """Standard uncertainty of the range by the change during a reading, shape (row,
     column) [m]."""
 
-    @property
-    def rest(self) -> float:
-        """Size of the random walk of the position beyond its forms [m]."""
-        return float(self.drift[0] / (np.pi * np.sqrt(max(self.forms[0], 1))))
+    def rests(self, pixel: Numbers) -> tuple[Floats, Floats]:
+        """Return the forms of both random walks that are no unknowns, each (form, n).
 
-    @property
-    def pieces(self) -> Numbers:
-        """Piece of the line at each pixel, within which this rest is constant."""
-        share = np.nan_to_num(self.course)
-        return np.asarray((2 * max(self.forms[0], 1) * share).astype(np.intp))
+        They are in the units of position [m] and attitude [rad].
+        """
+        share = np.nan_to_num(self.course.ravel()[pixel])
+        position, attitude = (
+            _walk(share, size, range(count + 1, _LAST + 1))
+            for size, count in zip(self.drift, self.forms, strict=True)
+        )
+        return position, attitude
 
     def shifts(self, pixel: Numbers, points: Floats) -> Floats:
         """Return shifts of points by one sigma of each error, shape (k, n, 3) [m].
@@ -143,11 +146,17 @@ class Motion:
     def _along(self, share: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the forms of the errors along the line, in the order of `_firsts`."""
         turn = self.bend * (2 * share - 1)
-        walks = []
-        for size, count in zip(self.drift, self.forms, strict=True):
-            k = np.pi * np.arange(1, count + 1)[:, None]
-            walks.append(size * np.sqrt(2) / k * np.cos(k * share))
+        walks = [
+            _walk(share, size, range(1, count + 1))
+            for size, count in zip(self.drift, self.forms, strict=True)
+        ]
         return turn[None] if self.bend > 0 else turn[None][:0], walks[0], walks[1]
+
+
+def _walk(share: Floats, size: float, numbers: range) -> Floats:
+    """Return forms of a random walk at shares of the line, shape (form, n)."""
+    k = np.pi * np.array(numbers)[:, None]
+    return np.asarray(size * np.sqrt(2) / k * np.cos(k * share))
 
 
 def motion_of(site: Site, scan: SiteScan, image: xr.Dataset) -> Motion | None:

@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 
 from amulor.platform.attitude import cross_matrix
 from amulor.site.registration.bodies import HELD
+from amulor.site.registration.line import Motion
 from amulor.site.registration.pair import Pair
 from amulor.site.registration.pose import ScanPose, departure
 from amulor.site.registration.surface import ScanSurface
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.intp]
+
+#: Smallest relative variance of a gradient that is more than rounding [1].
+_SINGULAR = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +135,8 @@ class System:
         self.gradient = np.zeros(size)
         # Variance of the gradient, without noise of pixels.
         self.scatter = np.zeros((size, size))
+        # Weights of the gradients of the surfaces in each equation.
+        self.combined = np.eye(size)
 
     def add(self, at: Numbers, matrix: Floats, gradient: Floats) -> None:
         """Add matrix and gradient of an observation; index -1 marks fixed unknowns."""
@@ -149,6 +155,21 @@ class System:
         """Remove undetermined directions from the normal equations by a projection."""
         self.matrix = projection.T @ self.matrix @ projection
         self.gradient = projection.T @ self.gradient
+
+    def combine(self, noise: Floats) -> None:
+        r"""Combine the gradients of the surfaces by their noise.
+
+        With the derivative A of the gradient g and its variance B, the equations are
+        :math:`A^T B^{-1} g = 0` (two-stage least squares).
+        """
+        scale = np.sqrt(noise.diagonal())
+        scale = np.where(scale > 0, scale, 1.0)
+        inverse = np.linalg.pinv(
+            noise / np.outer(scale, scale), rcond=_SINGULAR, hermitian=True
+        )
+        self.combined = self.matrix.T @ (inverse / np.outer(scale, scale))
+        self.matrix = self.combined @ self.matrix
+        self.gradient = self.combined @ self.gradient
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,11 +193,15 @@ def step(
     steady: bool = False,
     free: int = 0,
     part: float = 1.0,
+    surfaces: Mapping[str, ScanSurface] | None = None,
 ) -> Step:
     """Update all unknowns by a Gauss-Newton step, or by a part of one."""
     layout = Layout(state, ties.fixed)
     projection, free = projector(state, pairs, trust, layout, free)
-    system = system_of(state, pairs, ties, trust, layout, projection, steady=steady)
+    system = system_of(
+        state, pairs, ties, trust, layout, projection,
+        steady=steady, surfaces=surfaces,
+    )  # fmt: skip
     change = -np.asarray(np.linalg.solve(system.matrix, system.gradient), dtype=float)
     score = abs(float(change @ system.gradient))
     change = part * change
@@ -214,11 +239,14 @@ def covariance(
     """
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
-    system = system_of(state, pairs, ties, trust, layout, projection)
+    system = system_of(state, pairs, ties, trust, layout, projection, surfaces=surfaces)
     noise = np.zeros((layout.size, layout.size))
     for name, surface in surfaces.items():
         noise += _noise_variance(name, surface, state, pairs, trust, layout)
-    variance = system.scatter + projection.T @ noise @ projection
+    for name, motion in _lines(surfaces).items():
+        noise += _drift_variance(name, motion, state, pairs, trust, layout)
+    carried = system.combined @ projection.T
+    variance = system.scatter + carried @ noise @ carried.T
     inverse = np.asarray(np.linalg.inv(system.matrix), dtype=float)
     spread = inverse @ variance @ inverse.T
     return (spread + spread.T) / 2, inverse, layout
@@ -233,16 +261,32 @@ def system_of(
     projection: Floats,
     *,
     steady: bool = False,
+    surfaces: Mapping[str, ScanSurface] | None = None,
 ) -> System:
-    """Return the normal equations of all observations."""
+    """Return the normal equations of all observations.
+
+    With lines among the `surfaces`, normals hardly determine some errors. Noise of the
+    normals must not determine them, so gradients are combined by their noise.
+    """
     system = System(layout.size)
+    lines = {} if steady else _lines(surfaces or {})
+    noise = np.zeros((layout.size, layout.size))
     for pair, weight in zip(pairs, trust, strict=True):
         at, spread = pair_unknowns(pair, state, layout)
         x = pair.by_target @ spread
         z = x if steady else pair.by_source @ spread
         weighted = z * (weight * pair.weight)[:, None]
         system.add(at, weighted.T @ x, weighted.T @ pair.distance)
+        if lines:
+            known = at >= 0
+            noise[np.ix_(at[known], at[known])] += (weighted.T @ z)[
+                np.ix_(known, known)
+            ]
     system.project(projection)
+    if lines:
+        for name, motion in lines.items():
+            noise += _drift_variance(name, motion, state, pairs, trust, layout)
+        system.combine(projection.T @ noise @ projection)
     for key, value in state.errors.items():
         at = layout.columns("error", [key], 1)
         system.add_prior(at, np.eye(1), np.array([value]))
@@ -375,10 +419,7 @@ def _noise_variance(
     trust: Sequence[float],
     layout: Layout,
 ) -> Floats:
-    """Return the gradient covariance that the noise of one scan causes.
-
-    That is the noise of pixels, and the rest of random walks of a moving instrument.
-    """
+    """Return the gradient covariance that the noise of one scan's pixels causes."""
     parts: list[tuple[Pair, float]] = [
         (pair, weight)
         for pair, weight in zip(pairs, trust, strict=True)
@@ -406,24 +447,64 @@ def _noise_variance(
             of_pixel[:, local] += pair.window.T @ rows
     of_pixel *= np.nan_to_num(surface.own.ravel())[:, None]
     variance[np.ix_(columns, columns)] = of_pixel.T @ of_pixel
-    if surface.motion is not None:
-        of_pieces = np.zeros((surface.motion.pieces.max() + 1, 3, len(columns)))
-        for pair, weight in parts:
-            at, spread = pair_unknowns(pair, state, layout)
-            free = at >= 0
-            rows = pair.by_source @ spread[:, free]
-            rows *= (np.sqrt(weight) * pair.weight)[:, None]
-            source = name == pair.source
-            pixel = pair.source_pixel if source else pair.target_pixel
-            shift = pair.by_target[:, :3] * (1.0 if source else -1.0)
-            piece = surface.motion.pieces.ravel()[pixel]
-            for axis in range(3):
-                sums = np.zeros((len(of_pieces), int(free.sum())))
-                np.add.at(sums, piece, shift[:, axis, None] * rows)
-                of_pieces[:, axis, place[at[free]]] += sums
-        flat = surface.motion.rest * of_pieces.reshape(-1, len(columns))
-        variance[np.ix_(columns, columns)] += flat.T @ flat
     return variance
+
+
+def _lines(surfaces: Mapping[str, ScanSurface]) -> dict[str, Motion]:
+    """Return the motions of the scans from a moving instrument."""
+    return {
+        name: surface.motion
+        for name, surface in surfaces.items()
+        if surface.motion is not None
+    }
+
+
+def _drift_variance(
+    name: str,
+    motion: Motion,
+    state: State,
+    pairs: Sequence[Pair],
+    trust: Sequence[float],
+    layout: Layout,
+) -> Floats:
+    """Return the gradient covariance by drifts of one line that are no unknowns."""
+    effect: Floats | None = None
+    for pair, weight in zip(pairs, trust, strict=True):
+        if name not in (pair.source, pair.target):
+            continue
+        at, spread = pair_unknowns(pair, state, layout)
+        known = at >= 0
+        rows = pair.by_source @ spread[:, known]
+        rows *= (np.sqrt(weight) * pair.weight)[:, None]
+        sums = drift_effect(name, motion, pair, rows)
+        if effect is None:
+            effect = np.zeros((len(sums), layout.size))
+        effect[:, at[known]] += sums
+    if effect is None:
+        return np.zeros((layout.size, layout.size))
+    return np.asarray(effect.T @ effect)
+
+
+def drift_effect(name: str, motion: Motion, pair: Pair, rows: Floats) -> Floats:
+    """Return the effects of a line's drifts on weighted sums of a pair's distances.
+
+    `rows` are the weights of the points, (n, sums). The shape is (drift, sums); only
+    drifts that are no unknowns count, each by one sigma.
+    """
+    pixel, sign = pair.target_pixel, -1.0
+    if name == pair.source:
+        pixel, sign = pair.source_pixel, 1.0
+    shift, turn = pair.by_target[:, :3], pair.by_target[:, 3:6]
+    vehicle = np.nan_to_num(motion.poses.part(pixel).vehicle.position)
+    # Attitudes turn points about the vehicle, not about the pivot of the pair.
+    turn = turn + np.cross(pair.pivot - vehicle, shift)
+    return sign * np.concatenate(
+        [
+            forms @ (by_axis[:, None] * rows)
+            for forms, vectors in zip(motion.rests(pixel), (shift, turn), strict=True)
+            for by_axis in vectors.T
+        ]
+    )
 
 
 def innovation(

@@ -28,6 +28,7 @@ from amulor.site.registration.network import (
     State,
     System,
     Ties,
+    drift_effect,
     pair_unknowns,
     projector,
     system_of,
@@ -156,7 +157,7 @@ def pattern_tests(
     """
     layout = Layout(state, ties.fixed)
     projection, _ = projector(state, pairs, trust, layout, free)
-    base = system_of(state, pairs, ties, trust, layout, projection)
+    base = system_of(state, pairs, ties, trust, layout, projection, surfaces=surfaces)
     inverse = np.asarray(np.linalg.inv(base.matrix), dtype=float)
     compared = []
     for pair, weight in zip(pairs, trust, strict=True):
@@ -247,7 +248,7 @@ class _Compared:
 class _Sums:
     """Sums of one scan's range errors over all pairs, one row for each pattern."""
 
-    absorbed: Floats
+    combined: Floats
     effect: Floats
     squares: Floats
     back: Floats
@@ -288,10 +289,11 @@ def _sums_of(
         back += ((columns * item.weight[:, None]).T @ pair.by_source @ item.reached).T
         sums += weighted.T @ pair.distance
     absorbed = -crossed @ inverse
+    back = base.combined @ back
     return _Sums(
-        absorbed=absorbed,
         effect=np.diag(squares + absorbed @ back),
         squares=np.diag(squares),
+        combined=absorbed @ base.combined,
         back=back,
         total=sums + absorbed @ base.gradient,
         variance=np.einsum("ij,jk,ik->i", absorbed, base.scatter, absorbed),
@@ -305,26 +307,34 @@ def _add_noise(
     compared: Sequence[_Compared],
     sums: Mapping[str, _Sums],
 ) -> None:
-    """Add the noise of one scan's pixels to the variances of all tests."""
+    """Add noise of one scan's pixels, and its drifts, to the variances of all tests."""
     shape = (surface.own.size, len(PATTERNS))
     of_pixel = {name: np.zeros(shape) for name in sums}
+    of_drift: Floats = np.zeros((1, len(sums) * len(PATTERNS)))
     for item in compared:
         pair = item.pair
         if owner not in (pair.source, pair.target):
             continue
         back = None if owner == pair.source else pair.window.T.tocsr()
-        weight = (item.weight * pair.misfit)[:, None]
-        for name, of_scan in sums.items():
-            rows = pair.by_source @ (item.reached @ of_scan.absorbed.T)
+        by_test = []
+        for of_scan in sums.values():
+            rows = pair.by_source @ (item.reached @ of_scan.combined.T)
             rows += of_scan.factors.get((pair.source, pair.target), 0.0)
-            rows *= weight
+            by_test.append(rows * item.weight[:, None])
+        if surface.motion is not None:
+            of_drift = of_drift + drift_effect(
+                owner, surface.motion, pair, np.hstack(by_test)
+            )
+        for name, rows in zip(sums, by_test, strict=True):
+            noisy = pair.misfit * rows
             if back is None:
-                of_pixel[name][pair.source_pixel] += rows * pair.along[:, None]
+                of_pixel[name][pair.source_pixel] += noisy * pair.along[:, None]
             else:
-                of_pixel[name] += back @ rows
+                of_pixel[name] += back @ noisy
     noise = np.nan_to_num(surface.own.ravel())
-    for name, values in of_pixel.items():
-        sums[name].variance += ((values * noise[:, None]) ** 2).sum(axis=0)
+    drifts = (of_drift**2).sum(axis=0).reshape(len(sums), len(PATTERNS))
+    for (name, values), drift in zip(of_pixel.items(), drifts, strict=True):
+        sums[name].variance += ((values * noise[:, None]) ** 2).sum(axis=0) + drift
 
 
 def _tests_of(
