@@ -65,11 +65,12 @@ def shape_changes(
     pixels: Pixels, depth: Floats, table: Table, phase_per_path: Floats
 ) -> Complex:
     """Return the derivatives of the water signal by its shape parameters."""
-    shape = (len(pixels), len(table.change), phase_per_path.size)
+    changes = table.changes
+    shape = (len(pixels), len(changes.value), phase_per_path.size)
     out = np.empty(shape, dtype=complex)
     spread(
         model_kernels.interpolate, len(pixels), depth, table.step,
-        coefficients(pixels, table), table.change.view(float), out.view(float),
+        coefficients(pixels, changes), changes.value.view(float), out.view(float),
     )  # fmt: skip
     turn = np.exp(1j * pixels.offset[:, None] * phase_per_path)
     out *= turn[:, None, :]
@@ -180,7 +181,7 @@ def normal_equations(
     transfer: Complex,
     phase_per_path: Floats,
 ) -> Normal:
-    """Return the normal equations of the first `used` parameters at `state`."""
+    """Return the normal equations of the first `used` parameters; 0 for the square."""
     pixels = fitted.pixels
     parts = modelled(state, fitted, transfer=transfer, phase_per_path=phase_per_path)
     deviation = None
@@ -188,11 +189,13 @@ def normal_equations(
         deviation = state.fluctuation * parts.water_signal
     is_target = np.isfinite(fitted.path)
     base = parts.water[:, None] + state.departure * parts.foreground[:, None]
-    changes = shape_changes(pixels, parts.depth, state.table, phase_per_path)
+    changes = np.zeros((len(pixels), 0, phase_per_path.size), dtype=complex)
     if used == layout.size:
         changes = all_changes(
             pixels, parts.depth, parts.water, state.table, phase_per_path
         )
+    elif used:
+        changes = shape_changes(pixels, parts.depth, state.table, phase_per_path)
     if fitted.is_shot:
         base = state.shot_factor * base
         changes = state.shot_factor * changes

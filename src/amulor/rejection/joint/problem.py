@@ -127,8 +127,10 @@ class Problem:
                 step = inverse_of(damped) @ vector
                 moved = self.moved(state, step, layout)
                 new_estimates = self.local(moved, estimates.path)
-                new = self.normal(moved, new_estimates, layout, used)
+                new = self.normal(moved, new_estimates, layout, 0)
                 if _objective(new, moved, layout, widths) < level:
+                    # Derivatives only for steps that are taken.
+                    new = self.normal(moved, new_estimates, layout, used)
                     best = (moved, new_estimates, new)
                     damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
                     break

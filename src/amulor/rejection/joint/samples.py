@@ -13,7 +13,7 @@ from amulor.rejection.covariance import Covariance, times
 from amulor.rejection.joint._kernels import bundles
 from amulor.rejection.joint._kernels import model as kernels
 from amulor.rejection.joint.overlap import Frame, frame_of
-from amulor.rejection.joint.tables import Table, to_pairs
+from amulor.rejection.joint.tables import Changes, Table, to_pairs
 from amulor.rejection.observation import FlatSamples, Observation
 
 Floats = NDArray[np.float64]
@@ -244,7 +244,7 @@ def grid_of(pixels: Pixels, phase_per_path: Floats) -> Floats:
     return np.asarray(step * np.arange(first, first + count))
 
 
-def coefficients(pixels: Pixels, table: Table) -> Floats:
+def coefficients(pixels: Pixels, table: Table | Changes) -> Floats:
     """Return the coefficients of the components of a table, (pixel, component) [1]."""
     return times(pixels.interpolation, table.basis)
 

@@ -66,7 +66,7 @@ def start(
     nothing = np.zeros(0)
     for loss, spread in itertools.product(*_GRID):
         shape = Shape(float(loss), float(spread), _FORWARD, nothing, nothing)
-        table = table_of(frame, shape, deepest=deepest, derivatives=False)
+        table = table_of(frame, shape, deepest=deepest)
         if shots is None:
             cost = np.empty(len(pixels))
             strength = np.zeros((len(pixels), channels))
@@ -145,11 +145,9 @@ def is_mostly_water(water: Problem, turn_width: float) -> bool:
     state = first(sample, turn_width, by_shots=True)
     layout = layout_of(state)
     dark = replace(state, strength=np.zeros_like(state.strength))
-    power = sample.normal(dark, sample.local(dark, None), layout, layout.rigid).square
+    power = sample.normal(dark, sample.local(dark, None), layout, 0).square
     state, paths = sample.descend(state, _LOOK_STEPS, free=False)
-    unexplained = sample.normal(
-        state, sample.local(state, paths), layout, layout.rigid
-    ).square
+    unexplained = sample.normal(state, sample.local(state, paths), layout, 0).square
     return unexplained < _MOSTLY * power
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -38,19 +39,82 @@ class Table:
     """Water signal, axes (component, node, frequency) [1]."""
     slope: Complex
     """Derivative of the water signal with respect to depth [1/m]."""
-    change: Complex
-    """Derivatives by the shape parameters, along an additional axis [1]."""
     basis: Floats
     """Coefficients of the components in each direction, (direction, component) [1]."""
     level: Floats
     """Unmodulated open-water signal by component; 1 in the middle of the scan [1]."""
     strength: float
     """Ratio of received to launched power for strength 1, per backscatter [sr m]."""
+    differentiated: Callable[[], Changes]
+    """Function that computes the derivatives by the shape parameters."""
+
+    @cached_property
+    def changes(self) -> Changes:
+        """Derivatives by the shape parameters, for steps of the fit that are taken."""
+        return self.differentiated()
 
     @cached_property
     def arrays(self) -> WaterTable:
         """Table of the water signal as an argument of the compiled loops."""
         return WaterTable(self.step, to_pairs(self.value), to_pairs(self.slope))
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Derivatives of a table by the shape parameters."""
+
+    value: Complex
+    """Derivatives, axes (parameter, component, node, frequency) [1]."""
+    basis: Floats
+    """Coefficients of the components in each direction, (direction, component) [1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Integrand:
+    """Water light at the quadrature points of depth, with their phases and weights."""
+
+    frame: Frame
+    """Receiver geometry."""
+    shape: Shape
+    """Shape of the water signal."""
+    depth: Floats
+    """Quadrature points of depth [m]."""
+    measure: Floats
+    """Quadrature weights [m]."""
+    phasor: Complex
+    """Phase of the modulation, out and back, (point, frequency) [1]."""
+    count: int
+    """Number of depth cells of the table."""
+    light: Floats
+    """Overlap with its correction, (direction, point) [sr]."""
+
+    @property
+    def unmodulated(self) -> Floats:
+        """Unmodulated open-water signal, by direction [sr m]."""
+        total: Floats = self.light @ self.measure
+        return total
+
+    def integrated(self, reduced: Floats) -> Complex:
+        """Return running integrals of (parameter, component, point) over depth."""
+        parameters, size = reduced.shape[:2]
+        shape = parameters, size, self.count + 2, self.phasor.shape[1]
+        total = np.empty(shape, dtype=complex)
+        kernels.integrate(reduced, self.phasor, _ORDER, self.count, total)
+        return total
+
+    def changes(self, strength: float) -> Changes:
+        """Return the derivatives of the water signal of unit strength."""
+        derivatives = _light_changes(self.frame, self.depth, self.shape, self.light)
+        basis = _components(self.light, derivatives)
+        at_zero = (self.frame.directions.centre @ derivatives) @ self.measure
+        # Light per strength, and the change of the strength: combined before the
+        # integrals, whose tables are large.
+        measure = self.measure / strength
+        reduced = basis.T @ derivatives * measure
+        reduced -= (basis.T @ self.light * measure) * (at_zero / strength)[
+            :, None, None
+        ]
+        return Changes(self.integrated(reduced), basis)
 
 
 def to_pairs(values: Complex) -> Floats:
@@ -80,9 +144,7 @@ _NEGLIGIBLE = 1e-30
 _SMALL = 1e-5
 
 
-def table_of(
-    frame: Frame, shape: Shape, *, deepest: float, derivatives: bool = True
-) -> Table:
+def table_of(frame: Frame, shape: Shape, *, deepest: float) -> Table:
     """Integrate the water signal up to every depth.
 
     (29) of Ricci et al. 2010, as rederived and conjugated, by Gauss's rule with
@@ -109,68 +171,61 @@ def table_of(
     middle = 0.5 * (edges[1:] + edges[:-1])
     z = (middle[:, None] + 0.5 * width[:, None] * point).ravel()
     measure = (0.5 * width[:, None] * weight).ravel()
-    # First the terms with the same series of scattered light.
-    at_edge = _profiles(frame, edges, shape, derivatives=False)[0]
-    profile = _profiles(frame, z, shape, derivatives=derivatives)
-    component = _components(profile[0], profile[1:])
     # Phase per depth, out and back: 4 pi f n_g / c_0, as in optics.
     wavenumber = 2 * frame.medium.group_index * frame.phase_per_path
-    phasor = np.exp(1j * wavenumber * z[:, None])
+    at_edge = _light(frame, edges[: count + 1], shape)
+    integrand = Integrand(
+        frame=frame,
+        shape=shape,
+        depth=z,
+        measure=measure,
+        phasor=np.exp(1j * wavenumber * z[:, None]),
+        count=count,
+        light=_light(frame, z, shape),
+    )
     # Strength: open water at frequency 0 in the middle of the scan.
-    at_zero = (frame.directions.centre @ profile) @ measure
-    strength = float(at_zero[0])
+    unmodulated = integrand.unmodulated
+    strength = float(frame.directions.centre @ unmodulated)
     if strength < SMALLEST_STRENGTH:
         raise unseen_beam()
-    # Values over the strength, and what they change by: taken before the sums, whose
-    # tables are large.
-    reduced = component.T @ profile * (measure / strength)
-    reduced[1:] -= reduced[0] * (at_zero[1:] / strength)[:, None, None]
-    parameters, size = reduced.shape[:2]
-    total = np.empty((parameters, size, count + 2, wavenumber.size), dtype=complex)
-    kernels.integrate(reduced, phasor, _ORDER, count, total)
-    slope = np.zeros_like(total[0])
-    slope[:, : count + 1] = (component.T @ at_edge / strength)[
-        :, : count + 1, None
-    ] * np.exp(1j * wavenumber * edges[: count + 1, None])
-    level = component.T @ (profile[0] @ measure) / strength
+    basis = _components(integrand.light)
+    per_strength = basis.T / strength
+    slope = (per_strength @ at_edge)[..., None] * np.exp(
+        1j * wavenumber * edges[: count + 1, None]
+    )
     return Table(
         step=step,
-        value=total[0],
-        slope=slope,
-        change=total[1:],
-        basis=component,
-        level=level,
+        value=integrand.integrated((per_strength @ integrand.light * measure)[None])[0],
+        slope=np.pad(slope, ((0, 0), (0, 1), (0, 0))),
+        basis=basis,
+        level=per_strength @ unmodulated,
         strength=strength,
+        differentiated=partial(integrand.changes, strength),
     )
 
 
-def _profiles(
-    frame: Frame, depth: Floats, shape: Shape, *, derivatives: bool
-) -> Floats:
-    """Return the overlap and its derivatives, (parameter, direction, depth)."""
-    hat = hats(depth, shape.knots)
-    factor = np.exp(shape.correction @ hat)
+def _light(frame: Frame, depth: Floats, shape: Shape) -> Floats:
+    """Return the overlap with its correction, (direction, depth) [sr]."""
+    factor = np.exp(shape.correction @ hats(depth, shape.knots))
+    light: Floats = frame.overlap(depth, shape) * factor
+    # Subnormal numbers make every product slow.
+    light[light < _NEGLIGIBLE * light.max()] = 0.0
+    return light
 
-    def light(of: Shape) -> Floats:
-        overlap: Floats = frame.overlap(depth, of) * factor
-        # Subnormal numbers make every product below slow.
-        overlap[overlap < _NEGLIGIBLE * overlap.max()] = 0.0
-        return overlap
 
-    base = light(shape)
-    if not derivatives:
-        return base[None]
-    changes = [-2 * shape.reduced_attenuation * depth * base]
-    last = COEFFICIENTS + len(shape.turn)
+def _light_changes(frame: Frame, depth: Floats, shape: Shape, light: Floats) -> Floats:
+    """Return derivatives of the light by the shape, (parameter, direction, depth)."""
+    changes = [-2 * shape.reduced_attenuation * depth * light]
     # First the terms with the same series of scattered light.
-    for parameter in reversed(range(1, last)):
+    for parameter in reversed(range(1, COEFFICIENTS + len(shape.turn))):
         step = np.zeros(shape.size)
         step[parameter] = _SMALL
-        changes.insert(1, (light(shape.moved(step)) - base) / _SMALL)
-    return np.stack([base, *changes, *(base * row for row in hat)])
+        after = _light(frame, depth, shape.moved(step))
+        changes.insert(1, (after - light) / _SMALL)
+    return np.stack([*changes, *(light * row for row in hats(depth, shape.knots))])
 
 
-def _components(light: Floats, derivatives: Floats) -> Floats:
+def _components(light: Floats, derivatives: Floats | tuple[()] = ()) -> Floats:
     """Return the principal components of the profiles over the nodes."""
     blocks = [light, *derivatives]
     gram = np.zeros((light.shape[0], light.shape[0]))

@@ -74,6 +74,29 @@ def test_the_table_is_the_water_signal_of_the_form(
     assert_allclose(slope * table.strength / steepest, rise / steepest, atol=3e-3)
 
 
+def test_derivatives_of_the_table_are_differences_of_tables(
+    samples: xr.Dataset,
+) -> None:
+    azimuth = samples["azimuth"].values.ravel()
+    elevation = samples["elevation"].values.ravel()
+    frame = frame_of(Observation(cube=samples), azimuth, elevation)
+    shape = Shape(0.3, 0.02, 0.4, np.array([0.1, -0.2]), np.array([0.5, 1.5]))
+    weights = frame.directions.interpolation(azimuth, elevation)
+
+    def open_water(shape: Shape) -> np.ndarray:
+        table = table_of(frame, shape, deepest=3.0)
+        signal: np.ndarray = weights @ table.basis @ table.value[:, -1]
+        return signal
+
+    changes = table_of(frame, shape, deepest=3.0).changes
+    for parameter in range(shape.size):
+        step = np.zeros(shape.size)
+        step[parameter] = 1e-4
+        rise = open_water(shape.moved(step)) - open_water(shape.moved(-step))
+        derivative = weights @ changes.basis @ changes.value[parameter, :, -1]
+        assert_allclose(derivative, rise / 2e-4, atol=2e-4 * abs(rise / 2e-4).max())
+
+
 def diffusion_form(samples: xr.Dataset) -> Response:
     """Return the water signal by (46) against its end."""
     survey, properties, where = looks(samples)

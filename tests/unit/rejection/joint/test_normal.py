@@ -55,6 +55,11 @@ def test_normal_equations_are_those_of_the_written_out_least_squares(
         is_free=True,
     )
     accumulate(0, 2, derivatives, shared, sums)
+    # A trial step needs the sum of squares alone.
+    trial = Sums(np.zeros((2, 0, 0)), np.zeros((2, 0)), np.zeros(2))
+    without = derivatives._replace(changes=changes[:, :0])
+    accumulate(0, 2, without, shared._replace(is_free=False), trial)
+    assert_allclose(trial.square, sums.square, rtol=1e-12)
     expected = np.zeros((used, used)), np.zeros(used), 0.0
     for n in range(count):
         rows, own, rest = [], [], []

@@ -17,7 +17,7 @@ from amulor.rejection.joint.scatter import (
     without_outliers,
 )
 from amulor.rejection.joint.search import Estimates, estimate
-from amulor.rejection.joint.tables import Table
+from amulor.rejection.joint.tables import Changes, Table
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
 RATE = 2 * np.pi * FREQUENCIES / speed_of_light
@@ -65,10 +65,12 @@ def solved(pixels: Pixels) -> Estimates:
         step=1.0,
         value=nothing,
         slope=nothing,
-        change=np.zeros((0, *nothing.shape), dtype=complex),
         basis=np.ones((1, 1)),
         level=np.ones(1),
         strength=1.0,
+        differentiated=lambda: Changes(
+            np.zeros((0, 1, 4, 1), complex), np.ones((1, 1))
+        ),
     )
     return estimate(
         pixels,

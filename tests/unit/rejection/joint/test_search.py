@@ -23,7 +23,7 @@ from amulor.rejection.joint.search import (
     may_be_two,
     two_surfaces,
 )
-from amulor.rejection.joint.tables import Table
+from amulor.rejection.joint.tables import Changes, Table
 
 FREQUENCIES = np.array([12e6, 31e6, 57e6, 83e6, 104e6, 139e6])
 
@@ -66,10 +66,12 @@ def _scene(
         step=1.0,
         value=np.ascontiguousarray(value),
         slope=np.zeros_like(value),
-        change=np.zeros((0, *value.shape), dtype=complex),
         basis=np.ones((1, 1)),
         level=np.ones(1),
         strength=1.0,
+        differentiated=lambda: Changes(
+            np.zeros((0, 1, 4, 1), complex), np.ones((1, 1))
+        ),
     )
     return pixels, table
 

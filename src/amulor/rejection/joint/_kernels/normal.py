@@ -213,7 +213,8 @@ def _add_pixel(
             u = root * left.real + slant * left.imag
             v = rest * left.imag
             square += u * u + v * v
-            _fill_row(n, c, f, derivatives, parameters, row)
+            if row.parameter.size > 0:
+                _fill_row(n, c, f, derivatives, parameters, row)
             for k in range(row.parameter.size):
                 value = row.values[k]
                 row.real[k] = root * value.real + slant * value.imag
@@ -287,7 +288,8 @@ def accumulate(
     """
     count, portions = derivatives.residual.shape[0], sums.matrix.shape[0]
     channels, shapes = derivatives.residual.shape[1], derivatives.changes.shape[1]
-    columns = 1 + shapes
+    # Without parameters, for the sum of squares of a trial step.
+    columns = 1 + shapes if sums.vector.shape[1] > 0 else 0
     if parameters.is_free:
         columns += 7 if parameters.first_doubt >= 0 else 4
     row = _Row(
