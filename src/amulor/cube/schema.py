@@ -180,7 +180,7 @@ class WaterResidualCause(enum.IntFlag):
     WATER_CHANGED = 32
     """The water of the scan differs from that of the open-water shots."""
     INSTRUMENT = 64
-    """No water explains both shots and scan: the instrument has an error."""
+    """No water explains both shots and scan: an instrument error, or corner light."""
 
 
 @functools.cache

@@ -42,6 +42,8 @@ _PASSED = {True: 0.75, False: 0.25}
 _UNPOLARIZED = 0.5
 #: Depolarization of the water over that of a surface, unless better known.
 _WATER_TO_SURFACE = 0.5
+#: Light of corners is a probable cause from this share of the pixels on [1].
+_CORNER_SHARE = 0.02
 #: Shift of joint estimates over that of one channel, in simulated corners [1].
 _JOINT = 2.0
 #: Depths at which the echo of a white surface is computed.
@@ -181,6 +183,11 @@ def corner_error(
             shift = path_error(position[place], fit.normal[neighbor[part]])
             error[place] = np.maximum(error[place], np.abs(slope[place] * shift))
     return (error if fit.concerned.any() else None), fit
+
+
+def is_corner_light(corners: Floats, rest: Floats) -> bool:
+    """Return whether the error by light of corners exceeds the rest in some pixels."""
+    return bool(np.mean(corners > rest) > _CORNER_SHARE)
 
 
 def _leverage(observation: Observation) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -20,6 +20,7 @@ from amulor.cube.error import (
     OUTPUT_STEP_RATIO,
     UNCALIBRATED_SHARE,
 )
+from amulor.imaging.corners import is_corner_light
 from amulor.imaging.observation import Observation, readable_survey
 from amulor.optics import ambiguity, detection
 from amulor.survey.properties import phase_uncertainty
@@ -30,8 +31,8 @@ Floats = NDArray[np.float64]
 _FEWEST_PIXELS = 10
 #: Relative difference between the waters of scan and references that is usual [1].
 _USUAL_CHANGE = 0.02
-#: Light in corners is a probable cause from this share of flagged pixels on [1].
-_CORNER_SHARE = 0.02
+#: Tests that light of corners fails as well.
+_FAILED_IN_CORNERS = ("references", "water", "channels", "frequencies", "methods")
 #: A delay between channels explains their phases up to this share of the largest [1].
 _LIKE_DELAY = 0.2
 
@@ -173,8 +174,34 @@ def instrument_tests(cube: xr.Dataset) -> tuple[InstrumentTest, ...]:
         _references, _water, _channels, _frequencies, _step, _drift, _methods,
         _resolution, _calibration,
     )  # fmt: skip
-    results = (test(cube) for test in tests)
-    return tuple(result for result in results if result is not None)
+    failed = [result for test in tests if (result := test(cube)) is not None]
+    if not _has_corner_light(cube):
+        return tuple(failed)
+    return tuple(
+        replace(
+            test,
+            cause=f"light that corners reflect twice, or {test.cause}",
+            measurement=f"scan a plate in the same water; {test.measurement}",
+        )
+        if test.name in _FAILED_IN_CORNERS
+        else test
+        for test in failed
+    )
+
+
+def _has_corner_light(cube: xr.Dataset) -> bool:
+    """Return whether light of corners exceeds the other errors in a range image.
+
+    The instrument's error does not count: it may be computed from phases that this
+    light has changed.
+    """
+    if "slant_range_uncertainty_corners" not in cube:
+        return False
+    corners = cube["slant_range_uncertainty_corners"].values
+    instrument = np.asarray(cube.get("slant_range_uncertainty_instrument", 0.0))
+    total = cube["slant_range_uncertainty"].values
+    rest = np.sqrt(np.maximum(total**2 - corners**2 - instrument**2, 0.0))
+    return is_corner_light(corners, rest)
 
 
 def _references(cube: xr.Dataset) -> InstrumentTest | None:
@@ -224,14 +251,9 @@ def _channels(cube: xr.Dataset) -> InstrumentTest | None:
         return None
     phase = np.atleast_1d(cube.attrs["channel_phase_rad"])
     cause, measurement = f"{_AMPLITUDE}, or {_WATER}", _LEAKAGE
-    flag = np.asarray(cube.get("quality_flag", np.int16(0)))
-    in_corner = (flag & QualityFlag.CORNER) != 0
     if _is_delay(phase, cube):
         cause = "a delay between the channels"
         measurement = "measure the delay of each channel with a plate"
-    if np.mean(in_corner) > _CORNER_SHARE:
-        cause = f"light that corners reflect twice, or {cause}"
-        measurement = f"scan a plate in the same water; {measurement}"
     return InstrumentTest(
         name="channels",
         result=f"the channels differ by {1e3 * float(np.max(phase)):.3g} mrad",

@@ -45,11 +45,16 @@ _EQUAL = 0.05
 _LARGER = 2.0
 #: Ratio of the standard deviation to the median absolute deviation [1].
 _OF_MEDIAN = 1.4826
+_CONTRADICTION = "no water explains the open-water shots and the scan together, so "
+_CORNERS = (
+    "corners reflect light twice (scan a plate in the same water to see whether the "
+    "contradiction ends), or "
+)
 _INSTRUMENT = (
-    "no water explains the open-water shots and the scan together, so the instrument "
-    "has an error: signal without light (leakage), a phase that depends on the "
-    "amplitude, or a receiver elsewhere than the survey says; block the receiver with "
-    "the laser on to see leakage, and calibrate the phase against amplitude"
+    "the instrument has an error: signal without light (leakage), a phase that depends "
+    "on the amplitude, or a receiver elsewhere than the survey says; block the "
+    "receiver with the laser on to see leakage, and calibrate the phase "
+    "against amplitude"
 )
 
 
@@ -243,7 +248,10 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
                 outcomes += _rows(candidate.without_open_water(), cube, interval)
         trials += outcomes
     rows = [trial.row for trial in trials]
-    if any(row.caution is Caution.INSTRUMENT for row in rows):
+    contradiction = next(
+        (row.note for row in rows if row.caution is Caution.INSTRUMENT), ""
+    )
+    if contradiction:
         # The channels of the scan are wrong, too, beside the shots.
         touched = [
             candidate.name
@@ -251,7 +259,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             if candidate.needs.open_water or candidate.needs.channel_pair
         ]
         rows = [
-            replace(row, caution=Caution.INSTRUMENT, trusted=0.0, note=_INSTRUMENT)
+            replace(row, caution=Caution.INSTRUMENT, trusted=0.0, note=contradiction)
             if row.method in touched and row.caution is not Caution.NOT_RUN
             else row
             for row in rows
@@ -261,8 +269,8 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
         steadier = _steadier(
             [replace(t, row=r) for t, r in zip(trials, rows, strict=True)], best, cube
         )
-    if best is None and any(row.caution is Caution.INSTRUMENT for row in rows):
-        raise CubeError(f"no method can be trusted: {_INSTRUMENT}")
+    if best is None and contradiction:
+        raise CubeError(f"no method can be trusted: {contradiction}")
     if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
         raise CubeError(
             "no method sees a target: single pixels pass for one here and there, and "
@@ -454,13 +462,14 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         most_outliers=JOINT_OUTLIERS if is_joint else ambiguity.BREAKDOWN,
     )
     usable = (flag & UNUSABLE) == 0
-    caution, note = Caution.NONE, ""
+    caution, note, in_corners = Caution.NONE, "", False
     bias, noise, own_noise = math.nan, math.nan, math.nan
     agree = np.zeros(usable.shape, dtype=bool)
     path = np.full(usable.shape, np.nan)
     if usable.any():
         errors = errors_of(target, usable, excluded, interval=interval)
         noises, biases = errors.noise, errors.bias
+        in_corners = errors.corner_light
         agree[usable], path[usable] = errors.agree, errors.path
         settled = ~np.isnan(noises)
         flag = flag.copy()
@@ -482,7 +491,8 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         caution, note = Caution.NO_PIXEL, "no pixel shows a target"
     causes = target.get("water_residual_cause", np.int8(0))
     if np.any(np.asarray(causes) & WaterResidualCause.INSTRUMENT):
-        caution, note = Caution.INSTRUMENT, _INSTRUMENT
+        caution = Caution.INSTRUMENT
+        note = f"{_CONTRADICTION}{_CORNERS if in_corners else ''}{_INSTRUMENT}"
     if method.keeps_one_frequency and interval is not None:
         repeat = _repeat_distance(target)
         if interval[1] - interval[0] > repeat:

@@ -42,6 +42,8 @@ class Errors:
     """Mask of beams with two surfaces."""
     in_corner: NDArray[np.bool_]
     """Mask of pixels with the flag `CORNER` in the range image."""
+    corner_light: bool = False
+    """Whether light of corners exceeds the other errors of the samples."""
 
 
 def errors_of(
@@ -57,9 +59,16 @@ def errors_of(
     else:
         errors = _errors_of_samples(target, usable, excluded)
     corners = _corner_error(target, usable, errors, interval)
+    if not np.any(corners):
+        return errors
+    from amulor.imaging.corners import is_corner_light
+
     rest = np.hypot(errors.noise, instrument_error(target))
     return replace(
-        errors, noise=np.hypot(errors.noise, corners), in_corner=corners > rest
+        errors,
+        noise=np.hypot(errors.noise, corners),
+        in_corner=corners > rest,
+        corner_light=is_corner_light(corners, errors.noise),
     )
 
 

@@ -16,6 +16,7 @@ from amulor import cube as cubes
 from amulor import imaging, rejection
 from amulor.cube import QualityFlag
 from amulor.errors import CubeError
+from amulor.imaging.instrument_tests import instrument_tests
 from amulor.simulation import simulate
 from amulor.studies.trust.scenes.catalogue import BY_NAME
 from amulor.survey import Survey
@@ -331,6 +332,28 @@ def test_light_of_corners_counts_as_in_the_range_image() -> None:
     # Unpolarized light passes for water, which `polarization` separates by its ratio.
     assert rows["polarization"].flagged > 0.5
     assert rows["open-water"].flagged == 0
+
+
+@pytest.mark.slow
+def test_light_of_corners_is_named_where_no_water_explains_the_scan() -> None:
+    case = BY_NAME["corner"].make(4, 1)
+    module = importlib.import_module("amulor.rejection.compare")
+    target = rejection.open_water(case.samples, interval=case.interval)
+    target = target.isel(polarization=[0])
+    row = module._row(rejection.load("open-water"), target, case.interval).row
+    assert row.caution is rejection.Caution.INSTRUMENT
+    assert "so corners reflect light twice" in row.note
+    image = imaging.range_image(target, interval=case.interval)
+    causes = {test.name: test.cause for test in instrument_tests(image)}
+    assert {"channels", "frequencies"} <= set(causes)
+    for cause in causes.values():
+        assert cause.startswith("light that corners reflect twice, or ")
+    # The same scan without such light blames the instrument alone.
+    absent = target.assign_attrs(corner_light="absent")
+    row = module._row(rejection.load("open-water"), absent, case.interval).row
+    assert "corners" not in row.note
+    image = imaging.range_image(absent, interval=case.interval)
+    assert not any("corners" in t.cause for t in instrument_tests(image))
 
 
 @pytest.mark.parametrize(
