@@ -64,7 +64,8 @@ def texture_change(
     would not meet on the same target count as the pixel itself. A uniform texture is
     unchanged. Shape (frequency, hit), with 0 Hz first; None without a texture.
     """
-    has_texture = np.array([bool(getattr(t, "texture", None)) for t in survey.targets])
+    textures = [getattr(target, "texture", None) for target in survey.targets]
+    has_texture = np.array([bool(texture) for texture in textures], dtype=bool)
     met = np.flatnonzero(hits.target >= 0)
     met = met[has_texture[hits.target[met]]]
     if not met.size:
