@@ -31,6 +31,7 @@ MODULES = {
         "mcap-ros2-support": "mcap_ros2",
         "pyproj": "pyproj",
     },
+    "ptu": {"ptufile": "ptufile"},
     "scale": {"dask": "dask", "distributed": "distributed"},
 }
 

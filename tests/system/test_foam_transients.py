@@ -441,8 +441,16 @@ def test_the_how_to_runs_as_it_is_printed(tmp_path, monkeypatch, capsys):
     counts = np.random.default_rng(1).poisson(2.0, (2, 3, 200))
     counter = {"bin_width_s": 5e-10, "cycles": 1000, "dead_time_s": 45e-9}
     np.savez("scan.npz", counts=counts, **counter)
+    pulse = np.exp(-0.5 * ((np.arange(200) - 10) / 3) ** 2)
+    counts = np.random.default_rng(2).poisson(0.02 + np.roll(pulse, 60), (2, 3, 200))
+    np.savez("photons.npz", counts=counts, bin_width_s=5e-10, reference_counts=pulse)
+    code = {"code": [0, 1, 1, 0, 1, 0, 0], "chip_s": 4e-9, "noise_v": 0.1}
+    waveform = np.repeat(np.roll(code["code"], 2), 8)[None, None]
+    np.savez(
+        "coded.npz", waveform=waveform, sample_interval_s=5e-10, periodic=1, **code
+    )
     commands = re.findall(r"^\$ amulor (.+)$", text, flags=re.MULTILINE)
-    assert len(commands) == 7
+    assert len(commands) == 9
     for command in commands:
         assert main(command.split()) == 0, command
     cubes.check(read_cube(tmp_path / "far-image.nc"), "range_image")

@@ -97,6 +97,10 @@ COMMANDS = {
         "transients:transients",
         "Convert single-photon histograms or waveforms to a measurement cube.",
     ),
+    "import arrivals": (
+        "arrivals:arrivals",
+        "Compute a range image from the arrival of a known pulse or code in records.",
+    ),
     "import recordings": (
         "recordings:recordings",
         "Convert a recording of other software to a measurement cube.",
@@ -174,7 +178,7 @@ TOPICS = {
         "calibrate demodulator", "calibrate leakage", "calibrate polarizer",
         "calibrate reference", "calibrate temperature", "calibrate plate",
         "acquire", "watch", "recover", "devices simulate",
-        "import transients", "import recordings",
+        "import transients", "import arrivals", "import recordings",
         "import trajectory", "calibrate platform",
     ),
     "simulate": (
@@ -239,6 +243,10 @@ EXAMPLES = {
     "import transients": (
         "amulor import transients letter.npz --frequency 100MHz -o samples.nc",
         "amulor reject",
+    ),
+    "import arrivals": (
+        "amulor import arrivals coded.npz --group-index 1.34 -o image.nc",
+        "amulor view, amulor report or amulor export",
     ),
     "import recordings": (
         "amulor import recordings scan.csv --survey tank.toml --columns columns.toml "

@@ -150,6 +150,34 @@ def interval_of(
     return near, far
 
 
+def gate_of(text: str | None) -> tuple[float, float] | None:
+    """Parse the option --gate, two increasing times; None without it [s].
+
+    Parameters
+    ----------
+    text : str, optional
+        Two times with units and a comma between them.
+
+    Returns
+    -------
+    tuple of float, or None
+        First and last time [s].
+
+    Raises
+    ------
+    UsageError
+        If the text is not two increasing times.
+    """
+    if text is None:
+        return None
+    times = [quantity_of("--gate", part, "time") for part in text.split(",")]
+    if len(times) != 2 or not times[0] < times[1]:
+        raise UsageError(
+            f'--gate must be two increasing times, such as "10ns,40ns", got {text!r}'
+        )
+    return times[0], times[1]
+
+
 def check_inputs(*paths: Path | None) -> None:
     """Raise if an input does not exist, or declares too much, before slow imports.
 

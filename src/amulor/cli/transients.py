@@ -20,6 +20,7 @@ def transients(
     scene: int | None = None,
     scan_side: str | None = None,
     repetition: str | None = None,
+    gate: str | None = None,
     medium: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -41,6 +42,8 @@ def transients(
     repetition
         Repetition frequency of the laser, such as "10 MHz"; needed to correct a dead
         time that the file states.
+    gate
+        First and last time of the light that is used, such as "10ns,40ns".
     medium
         Estimate the water signal from all scenes of the file, and store it in place of
         open-water shots, for "amulor reject".
@@ -54,6 +57,7 @@ def transients(
     from amulor.cli._arguments import (
         check_cube_output,
         frequencies_of,
+        gate_of,
         quantity_of,
         refusing,
     )
@@ -77,6 +81,7 @@ def transients(
             scene=scene,
             scan_side=side,
             repetition_frequency=pulses,
+            gate=gate_of(gate),
         )
         if medium:
             shots = medium_from_minimum(file, frequencies)

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from amulor.errors import FormatError
+from amulor.io.arrivals import read_arrivals
 from amulor.io.e57 import write_e57, write_e57_parts, write_e57_scans
 from amulor.io.files import check_output, make_folder
 from amulor.io.histograms import Histograms, read_histograms
@@ -35,6 +36,7 @@ __all__ = [
     "make_folder",
     "mean_delay",
     "medium_from_minimum",
+    "read_arrivals",
     "read_cube",
     "read_histograms",
     "read_slabs",

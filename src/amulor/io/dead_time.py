@@ -58,6 +58,31 @@ def without_loss(
     """
     pulses = cycles[..., None].astype(float)
     number = counts.astype(float)
+    ready = ready_pulses(
+        counts, cycles, dead_bins=dead_bins, period_bins=period_bins, path=path
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.divide(number, ready, out=np.zeros_like(number), where=ready > 0)
+        mean = -pulses * np.log1p(-share)
+        variance = np.where(
+            number > 0, pulses**2 * number / (ready * (ready - number)), 0.0
+        )
+    # A bin in which every ready pulse has a photon has no upper limit.
+    certain = (share >= 1).any(axis=-1, keepdims=True)
+    return Light(np.where(certain, np.nan, mean), np.where(certain, np.nan, variance))
+
+
+def ready_pulses(
+    counts: NDArray[Any],
+    cycles: NDArray[Any],
+    *,
+    dead_bins: float,
+    period_bins: float | None,
+    path: Path,
+) -> Floats:
+    """Return the number of pulses for which the counter was ready, for each bin."""
+    pulses = cycles[..., None].astype(float)
+    number = counts.astype(float)
     total: Floats = np.zeros((*number.shape[:-1], number.shape[-1] + 1))
     np.cumsum(number, axis=-1, out=total[..., 1:])
     bins = np.arange(number.shape[-1], dtype=float)
@@ -74,15 +99,7 @@ def without_loss(
             f"time detects in {int(cycles.max())} pulses; check 'cycles' and "
             "'dead_time_s'"
         )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.divide(number, ready, out=np.zeros_like(number), where=ready > 0)
-        mean = -pulses * np.log1p(-share)
-        variance = np.where(
-            number > 0, pulses**2 * number / (ready * (ready - number)), 0.0
-        )
-    # A bin in which every ready pulse has a photon has no upper limit.
-    certain = (share >= 1).any(axis=-1, keepdims=True)
-    return Light(np.where(certain, np.nan, mean), np.where(certain, np.nan, variance))
+    return ready
 
 
 def _at(total: Floats, place: Floats) -> Floats:

@@ -20,6 +20,7 @@ from amulor.cube import provenance
 from amulor.errors import FormatError
 from amulor.io.dead_time import Counter
 from amulor.io.files import read_bytes
+from amulor.io.ptu import ptu_fields
 
 #: Meter in an inch, by definition.
 _INCH = 0.0254
@@ -91,6 +92,12 @@ class Histograms:
     start: float | None = None
     """Time of the first sample of a waveform; None for photons, whose first bin starts
     at zero [s]."""
+    water: NDArray[Any] | None = None
+    """Record without a target, up to a factor, dimension (bin), if the file has it."""
+    coded: bool = False
+    """Whether the pulse is a stated code, without noise."""
+    periodic: bool = False
+    """Whether record and pulse are one period of a signal without a pause."""
 
     @property
     def name(self) -> str:
@@ -112,12 +119,15 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
         Optional fields for the dead time of the counter: `cycles`, the number of laser
         pulses of a histogram, `dead_time_s`, by default until the next pulse, and
         `dead_time_uncertainty_s`. `reference_counts` (bins) is the recorded pulse of
-        the instrument.
+        the instrument. Instead of it, `code` and `chip_s` state a code of chips that
+        starts at time zero, and `periodic` is 1 if it repeats without a pause and the
+        record is one period. `water_counts` (bins) is a record without a target.
 
         Waveforms of a digitizer have `waveform` (rows, columns, samples) [V],
-        `sample_interval_s`, `noise_v`, and optionally `start_s` and
-        `reference_waveform` (samples). A CSV file of waveforms has the columns
-        `row,column,time_s,voltage_v,noise_v`.
+        `sample_interval_s`, `noise_v`, and optionally `start_s`, `reference_waveform`
+        or `code`, and `water_waveform` (samples). A CSV file of waveforms has the
+        columns `row,column,time_s,voltage_v,noise_v`. PTU files of PicoQuant are read
+        with the package ptufile; detector channels become scenes.
 
     Returns
     -------
@@ -129,6 +139,8 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
     FormatError
         If the file is missing, empty, damaged or of another kind, or if a field is
         missing or invalid.
+    MissingExtraError
+        If the package that reads PTU files is not installed.
 
     Notes
     -----
@@ -148,7 +160,9 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
     content = read_bytes(path)
     if path.suffix.lower() == ".csv":
         return _waveforms(path, content, _columns(path, content))
-    fields = _arrays(path, content)
+    fields = (
+        ptu_fields(path) if path.suffix.lower() == ".ptu" else _arrays(path, content)
+    )
     if "waveform" in fields:
         return _waveforms(path, content, fields)
     for name in ("counts", "bin_width_s"):
@@ -188,7 +202,16 @@ def read_histograms(path: str | os.PathLike[str]) -> Histograms:
         thickness=thickness,
         direct_counts=direct,
         counter=_counter(path, fields, shape=counts.shape[:-1]),
-        reference=_reference(path, fields, "reference_counts", bins=counts.shape[-1]),
+        reference=_pulse(
+            path,
+            fields,
+            "reference_counts",
+            times=(np.arange(counts.shape[-1] + 1.0))
+            * _bin_width(path, fields["bin_width_s"]),
+        ),
+        water=_reference(path, fields, "water_counts", bins=counts.shape[-1]),
+        coded="code" in fields,
+        periodic=_periodic(fields),
     )
 
 
@@ -245,6 +268,36 @@ def _reference(
     return reference
 
 
+def _pulse(
+    path: Path, fields: dict[str, NDArray[Any]], name: str, *, times: NDArray[Any]
+) -> NDArray[Any] | None:
+    """Return the recorded pulse, or that of a code, averaged between the times."""
+    if "code" not in fields:
+        return _reference(path, fields, name, bins=times.size - 1)
+    code, chip = fields["code"].astype(float).ravel(), fields.get("chip_s")
+    if name in fields or chip is None or chip.size != 1 or not (chip > 0).all():
+        raise FormatError(
+            f"{path}: a 'code' needs 'chip_s', the length of a chip in seconds, and no "
+            f"'{name}' beside it"
+        )
+    if code.size < 2 or np.ptp(code) == 0 or not np.isfinite(code).all():
+        raise FormatError(
+            f"{path}: field 'code' must be chips that differ, such as 0 and 1"
+        )
+    ends = np.arange(code.size + 1) * float(chip.reshape(()))
+    total = np.concatenate([[0.0], np.cumsum(code)]) * float(chip.reshape(()))
+    if _periodic(fields) and abs(ends[-1] / (times[-1] - times[0]) - 1) > _UNEVEN:
+        raise FormatError(
+            f"{path}: a periodic code of {ends[-1]:g} s needs a record of one period, "
+            f"got {times[-1] - times[0]:g} s"
+        )
+    return np.asarray(np.diff(np.interp(times, ends, total)) / np.diff(times))
+
+
+def _periodic(fields: dict[str, NDArray[Any]]) -> bool:
+    return "periodic" in fields and bool(fields["periodic"].any())
+
+
 _WAVEFORM = (
     "needed are 'waveform' (rows, columns, samples) in volts, 'sample_interval_s' and "
     "'noise_v', the standard deviation of a sample"
@@ -279,11 +332,18 @@ def _waveforms(
         labels=(),
         thickness=None,
         direct_counts=None,
-        reference=_reference(
-            path, fields, "reference_waveform", bins=waveform.shape[-1]
+        reference=_pulse(
+            path,
+            fields,
+            "reference_waveform",
+            times=float(start.reshape(-1)[0])
+            + (np.arange(waveform.shape[-1] + 1) - 0.5) * numbers["sample_interval_s"],
         ),
         noise=numbers["noise_v"],
         start=float(start.reshape(-1)[0]),
+        water=_reference(path, fields, "water_waveform", bins=waveform.shape[-1]),
+        coded="code" in fields,
+        periodic=_periodic(fields),
     )
 
 
@@ -340,6 +400,11 @@ def _arrays(path: Path, content: bytes) -> dict[str, NDArray[Any]]:
         "noise_v",
         "start_s",
         "reference_waveform",
+        "code",
+        "chip_s",
+        "periodic",
+        "water_counts",
+        "water_waveform",
     )
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
@@ -509,8 +574,11 @@ def weights(
     *,
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
+    gate: tuple[float, float] | None = None,
 ) -> NDArray[np.complex128]:
     r"""Fourier weights of the time bins, for each modulation frequency.
+
+    Bins outside of a gate have the weight 0.
 
     :math:`g_k = e^{2 \pi i f t_k}` with :math:`t_k` the center of bin k. With a
     background it is :math:`g_k - [k \in B] \sum_j g_j / |B|`: taking a mean off is
@@ -521,6 +589,8 @@ def weights(
     start = 0.5 * histograms.bin_width if histograms.start is None else histograms.start
     time = start + np.arange(bins) * histograms.bin_width - time_of_emission
     weight: NDArray[np.complex128] = np.exp(2j * np.pi * np.outer(frequency, time))
+    if gate is not None:
+        weight[:, ~within_gate(histograms, gate)] = 0.0
     if background_bins is not None:
         first, end = background_bins
         if not 0 <= first < end <= bins:
@@ -530,6 +600,19 @@ def weights(
             )
         weight[:, first:end] -= weight.sum(axis=1, keepdims=True) / (end - first)
     return weight
+
+
+def within_gate(histograms: Histograms, gate: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return the bins whose centers are in a gate; FormatError for a wrong gate."""
+    start = 0.5 * histograms.bin_width if histograms.start is None else histograms.start
+    time = start + np.arange(histograms.counts.shape[-1]) * histograms.bin_width
+    inside = (time > gate[0]) & (time < gate[1])
+    if inside.sum() < 2:
+        raise FormatError(
+            f"{histograms.path}: the gate from {gate[0]:g} s to {gate[1]:g} s has "
+            f"{inside.sum()} bins; the record is from {time[0]:g} s to {time[-1]:g} s"
+        )
+    return inside
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

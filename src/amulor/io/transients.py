@@ -118,6 +118,7 @@ def read_transients(
     time_of_emission: float = 0.0,
     background_bins: tuple[int, int] | None = None,
     repetition_frequency: float | None = None,
+    gate: tuple[float, float] | None = None,
     group_index: float = 1.0,
     refractive_index: float = 1.0,
 ) -> xr.Dataset:
@@ -147,6 +148,10 @@ def read_transients(
     repetition_frequency : float, optional
         Repetition frequency of the source, above zero [Hz]. Known for the published
         slab file.
+    gate : tuple of float, optional
+        First and last time of the light that is used, on the time axis of the record
+        [s]. Earlier backscatter is removed, with its noise. Late light of an echo
+        after the gate is removed, too, so the gate must end well behind the target.
     group_index, refractive_index : float
         Indices of the medium between instrument and target, at least 1; by default air
         [1].
@@ -222,12 +227,13 @@ def read_transients(
     axis = first_axis or (published.first_axis if published else "down")
     if repetition_frequency is None and published:
         repetition_frequency = published.repetition_frequency
-    number = _scene(histograms, scene)
+    number = scene_number(histograms, scene)
     weight = weights(
         histograms,
         frequency,
         time_of_emission=time_of_emission,
         background_bins=background_bins,
+        gate=gate,
     )
     counts = histograms.counts[number]
     dark = np.zeros(counts.shape[:-1], dtype=bool)
@@ -239,6 +245,10 @@ def read_transients(
             "histograms; take another scene, or look at how the counts were saved"
         )
     coefficients = _coefficients(histograms, number, weight, repetition_frequency)
+    if histograms.reference is not None:
+        # The pulse was recorded outside of the gate.
+        whole = weights(histograms, frequency, time_of_emission=time_of_emission)
+        coefficients = _deconvolved(histograms, coefficients, whole)
     cube = cubes.build(
         "samples",
         _outputs(coefficients, missing=dark, axis=1),
@@ -247,17 +257,17 @@ def read_transients(
             "polarization": ["none"],
             "azimuth": np.zeros(counts.shape[:2]),
             "elevation": np.zeros(counts.shape[:2]),
-            **_origins(counts.shape[:2], side, axis),
+            **pixel_origins(counts.shape[:2], side, axis),
         },
         geometry={
-            "group_index": _at_least_one(group_index, "group_index"),
-            "refractive_index": _at_least_one(refractive_index, "refractive_index"),
+            "group_index": at_least_one(group_index, "group_index"),
+            "refractive_index": at_least_one(refractive_index, "refractive_index"),
             "emitter_position": np.zeros(3),
             "receiver_position": np.zeros(3),
         },
         attributes=cubes.attributes(
             "samples",
-            title=_title(histograms, published, number),
+            title=scene_title(histograms, published, number),
             source="measured photon histograms, Fourier coefficients"
             if histograms.noise is None
             else "digitized waveforms, Fourier coefficients",
@@ -275,6 +285,7 @@ def read_transients(
             scene=np.int32(number),
             scene_label=histograms.labels[number] if histograms.labels else None,
             **_repetition(frequency, repetition_frequency),
+            gate=None if gate is None else np.array(gate),
         ),
     )
     if histograms.thickness is not None:
@@ -292,7 +303,7 @@ def _coefficients(
     weight: NDArray[np.complex128],
     repetition_frequency: float | None,
 ) -> Coefficients:
-    """Return the coefficients of a scene, without counting loss and pulse shape."""
+    """Return the coefficients of a scene, without counting loss."""
     counts = histograms.counts[scene]
     if histograms.noise is not None:
         found = transform(counts, weight, np.full(counts.shape, histograms.noise**2))
@@ -306,18 +317,13 @@ def _coefficients(
             longer = _without_loss(histograms, scene, repetition_frequency, change)
             shift = transform(longer.mean, weight).signal - found.signal
             found = found.with_error(shift)
-    if histograms.reference is not None:
-        found = _deconvolved(histograms, found, weight)
     return found
 
 
-def _without_loss(
-    histograms: Histograms,
-    scene: int,
-    repetition_frequency: float | None,
-    longer: float = 0.0,
-) -> Light:
-    """Return the light on the counter, for a dead time that is longer by a change."""
+def dead_time_bins(
+    histograms: Histograms, repetition_frequency: float | None, longer: float = 0.0
+) -> tuple[float, float | None]:
+    """Return dead time and period in bins; FormatError if the period is needed."""
     counter = histograms.counter
     assert counter is not None
     period = None
@@ -328,10 +334,22 @@ def _without_loss(
                 "until the next pulse; state repetition_frequency"
             )
         period = 1 / (repetition_frequency * histograms.bin_width)
+    return (counter.dead_time + longer) / histograms.bin_width, period
+
+
+def _without_loss(
+    histograms: Histograms,
+    scene: int,
+    repetition_frequency: float | None,
+    longer: float = 0.0,
+) -> Light:
+    """Return the light on the counter, for a dead time that is longer by a change."""
+    assert histograms.counter is not None
+    dead_bins, period = dead_time_bins(histograms, repetition_frequency, longer)
     return without_loss(
         histograms.counts[scene],
-        counter.cycles[scene],
-        dead_bins=(counter.dead_time + longer) / histograms.bin_width,
+        histograms.counter.cycles[scene],
+        dead_bins=dead_bins,
         period_bins=period,
         path=histograms.path,
     )
@@ -339,6 +357,8 @@ def _without_loss(
 
 #: Signal of a recorded pulse over its noise, from which it is significant [1].
 _SIGNIFICANT = 5.0
+#: Part of the light of a code, below which its error is as large as the signal [1].
+_LEAST_LIGHT = 1e-3
 
 
 def _deconvolved(
@@ -348,13 +368,15 @@ def _deconvolved(
     reference = histograms.reference
     assert reference is not None
     noise = histograms.noise
-    pulse = transform(
-        reference[np.newaxis].astype(float),
-        weight,
-        None if noise is None else np.full((1, reference.size), noise**2),
-    )
+    variance = None if noise is None else np.full((1, reference.size), noise**2)
+    if histograms.coded:
+        variance = np.zeros((1, reference.size))
+    pulse = transform(reference[np.newaxis].astype(float), weight, variance)
     spectrum = pulse.signal[:, 0]
     error = (pulse.variance_in_phase + pulse.variance_quadrature)[:, 0]
+    if histograms.coded:
+        # A code has no light at some frequencies.
+        error = error + (_LEAST_LIGHT * np.abs(reference).sum()) ** 2
     if np.any(np.abs(spectrum) < _SIGNIFICANT * np.sqrt(error)):
         raise FormatError(
             f"{histograms.path}: the recorded pulse is not significant above its noise "
@@ -501,7 +523,7 @@ def _outputs(
     return {key: np.expand_dims(value, axis) for key, value in outputs.items()}
 
 
-def _scene(histograms: Histograms, scene: int | None) -> int:
+def scene_number(histograms: Histograms, scene: int | None) -> int:
     scenes = histograms.counts.shape[0]
     names = f" ({', '.join(histograms.labels)})" if histograms.labels else ""
     if scene is None:
@@ -519,7 +541,7 @@ def _scene(histograms: Histograms, scene: int | None) -> int:
     return int(scene)
 
 
-def _origins(
+def pixel_origins(
     shape: tuple[int, ...], side: float | None, first_axis: str
 ) -> dict[str, NDArray[np.float64]]:
     if first_axis not in ("down", "right"):
@@ -541,13 +563,13 @@ def _places(number: int, side: float) -> NDArray[np.float64]:
     return np.linspace(-side / 2, side / 2, number) if number > 1 else np.zeros(1)
 
 
-def _at_least_one(index: float, name: str) -> float:
+def at_least_one(index: float, name: str) -> float:
     if not (np.isfinite(index) and index >= 1):
         raise ValueError(f"{name} must be finite and at least 1, got {index:g}")
     return float(index)
 
 
-def _title(histograms: Histograms, published: _Known | None, scene: int) -> str:
+def scene_title(histograms: Histograms, published: _Known | None, scene: int) -> str:
     title = published.title if published else histograms.path.stem
     label = f", distance label {histograms.labels[scene]}" if histograms.labels else ""
     return title + label
