@@ -72,6 +72,7 @@ def transients(
         if repetition is None
         else quantity_of("--repetition", repetition, "frequency")
     )
+    times = gate_of(gate)
     check_cube_output(output, overwrite=overwrite, inputs=[file])
     overlap = 0.0
     with refusing():
@@ -81,7 +82,7 @@ def transients(
             scene=scene,
             scan_side=side,
             repetition_frequency=pulses,
-            gate=gate_of(gate),
+            gate=times,
         )
         if medium:
             shots = medium_from_minimum(file, frequencies)

@@ -22,6 +22,7 @@ from amulor.studies.ladder import survey_text
 RECORDINGS = ["import", "recordings", "none.csv"]
 PLATE = ["calibrate", "plate", "a.nc", "--distance", "1 m", "-o", "x.toml"]
 TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]
+ARRIVALS = ["import", "arrivals", "none.npz", "-o", "b.nc"]
 UNMIX = ["reject", "none.nc", "--method", "polarization", "-o", "b.nc"]
 COLUMN = ["reject", "none.nc", "--method", "open-water", "-o", "b.nc"]
 RATIOS = ["--target-ratio", "0.2", "--water-ratio", "0.1"]
@@ -385,6 +386,9 @@ def test_a_plan_without_open_water_is_noted(
             "unit 'm' is not one of frequency",
         ),
         ([*TRANSIENTS, "--scan-side", "60"], "needed is the length"),
+        ([*TRANSIENTS, "--gate", "9 ns"], "two increasing times"),
+        ([*ARRIVALS, "--gate", "9 ns, 3 ns"], "two increasing times"),
+        ([*ARRIVALS, "--neighbors", "-1"], "must not be negative"),
         (["export", "a.nc", "-o", "b.obj"], "use one of .ply"),
         (["simulate", "a.toml", "-o", "b.csv"], "use one of .nc"),
         (["reject", "a.nc", "--method", "auto", "-o", "b.txt"], "use one of .nc"),
@@ -497,6 +501,7 @@ def test_wrong_use_ends_with_2_and_one_line(
         ["calibrate", "plate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         ["devices", "calibrate", "none.nc", "--distance", "1 m", "-o", "b.toml"],
         TRANSIENTS,
+        ARRIVALS,
         [*RECORDINGS, "--survey", "none.toml", "--columns", "none.toml", "-o", "b.nc"],
         ["import", "trajectory", "none.csv", "-o", "b.csv"],
         ["info", "none.nc"],
