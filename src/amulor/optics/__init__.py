@@ -9,6 +9,7 @@ from amulor import _lazy
 if TYPE_CHECKING:
     from amulor.optics import (
         ambiguity,
+        arrivals,
         daylight,
         detection,
         extrema,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ambiguity",
+    "arrivals",
     "daylight",
     "detection",
     "extrema",

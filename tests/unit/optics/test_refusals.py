@@ -174,6 +174,7 @@ SWEEPS = {
     "maximum_distance",
     "weights_and_uncertainty", "response", "fewest",
     "range_profile", "resolution", "surfaces", "unambiguous_span",
+    "matched_filter", "photon_arrivals", "side_lobe", "time_bound",
     "mixture",
 }  # fmt: skip
 WORDING = re.compile(
