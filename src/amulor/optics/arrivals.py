@@ -37,7 +37,26 @@ _TINY = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Arrivals:
-    """Arrival times of the strongest echo in each record, with errors and tests."""
+    """Arrival times of the strongest echo in each record, with errors and tests.
+
+    Examples
+    --------
+    Accept echoes that noise does not explain, and convert them to ranges in water:
+
+    >>> import numpy as np
+    >>> from amulor.optics.arrivals import Arrivals
+    >>> pair = Arrivals(
+    ...     time=np.array([20e-9, 31e-9]),
+    ...     uncertainty=np.array([0.1e-9, 2e-9]),
+    ...     amplitude=np.array([1.0, 0.2]),
+    ...     amplitude_uncertainty=np.array([0.1, 0.1]),
+    ...     probability=np.array([1e-9, 0.4]),
+    ...     elsewhere=np.array([0.0, 0.7]),
+    ...     second=np.array([0.5, 0.5]),
+    ... )
+    >>> pair.time[pair.probability < 1e-3] * 299792458 / 1.34 / 2
+    array([2.23725715])
+    """
 
     time: Floats
     """Delay of the echo behind the pulse as recorded; NaN without photons [s]."""
