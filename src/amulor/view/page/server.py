@@ -483,7 +483,9 @@ class _Connection(H11Protocol):
 
     def _limit_time(self) -> None:
         """Start the timer of the headers or the body that is awaited; else stop it."""
-        state = self.conn.their_state
+        # A websocket has taken over the connection of its request, and may stay.
+        own = self.transport.get_protocol() is self
+        state = self.conn.their_state if own else h11.DONE
         if state is self._awaited:
             return
         self._awaited = state

@@ -422,10 +422,11 @@ def test_flags_silence_and_missing_references_are_told() -> None:
     assert len(found) == 4
 
 
-def test_the_websocket_stays_open_beyond_the_limit_for_headers(
+def test_the_websocket_stays_open_beyond_the_limits_of_requests(
     survey: Survey, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "_HEADER_TIME", 0.2)
+    monkeypatch.setattr(server, "_BODY_TIME", 0.2)
     monkeypatch.setenv("no_proxy", "*")
     scan(survey, folder)
     live = Live(folder)
