@@ -176,10 +176,13 @@ def _repeat_distance(cube: xr.Dataset) -> float:
 
 
 def _shots_are_doubted(cube: xr.Dataset, rows: list[Row]) -> bool:
-    """Return whether no method trusts enough pixels despite open-water references."""
-    ran = any(row.polarization for row in rows)
-    trusted = max((row.trusted for row in rows), default=0.0)
-    return ran and cube.amulor.open_water is not None and trusted < _FEW
+    """Return whether few pixels that show a target by the shots are trusted, too.
+
+    Pixels in which the shots show open water speak for the shots.
+    """
+    ran = [row for row in rows if row.polarization]
+    doubted = all(row.trusted < _FEW * row.usable for row in ran)
+    return bool(ran) and cube.amulor.open_water is not None and doubted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,9 +231,10 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     choice. Then both have the same common error, and the method with less noise is
     recommended. The systematic difference counts as noise.
 
-    If the joint estimation trusts few pixels with the shots, and these show no error of
-    the instrument, it is tried without shots as well. If the ranges of another method
-    differ by more than four times both errors, the comparison states the difference.
+    If the joint estimation trusts few of the pixels in which the shots show a target,
+    and these show no error of the instrument, it is tried without shots as well. If the
+    ranges of another method differ by more than four times both errors, the comparison
+    states the difference.
     """
     cube = cubes.checked(cube, "samples")
     candidates, broken = compared_methods()

@@ -274,6 +274,14 @@ def _row(method: str, noise: float) -> rejection.Row:
     )
 
 
+def test_pixels_of_open_water_are_no_doubt_about_the_shots(cube: xr.Dataset) -> None:
+    doubted = sys.modules["amulor.rejection.compare"]._shots_are_doubted
+    object_in_water = replace(_row("joint", 1e-3), usable=0.25, trusted=0.24)
+    assert not doubted(cube, [object_in_water])
+    assert doubted(cube, [replace(object_in_water, trusted=0.1)])
+    assert not doubted(cubes.without_groups(cube), [object_in_water])
+
+
 @pytest.mark.parametrize(
     ("noise", "expected"), [(1e-3, 10e-3), (5e-3, 0.0)], ids=["apart", "in errors"]
 )
