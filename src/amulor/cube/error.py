@@ -58,7 +58,7 @@ def flags_of_pixels(
 
 
 def may_contain(cube: xr.Dataset, light: str) -> bool:
-    """Return whether samples may contain late_echo or corner_light.
+    """Return whether samples may contain light of a kind (cube attribute).
 
     Measured samples do unless they say otherwise. Models that do not mention such light
     simulate none.

@@ -83,6 +83,11 @@ TERMS = {
             meaning="light that concave corners of the scene reflect twice",
             kind="B",
         ),
+        Term(
+            name="surroundings",
+            meaning="scattered light of brighter or darker surroundings",
+            kind="B",
+        ),
     )
 }
 #: Terms that a rejection method may add to its target signal.
@@ -106,6 +111,7 @@ ALIKE_TERMS = (
     "geometry",
     "instrument",
     "corners",
+    "surroundings",
 )
 #: Terms in proportion to the water, the same part of it at all pixels.
 WATER_TERMS = ("drift", "column")
@@ -667,4 +673,7 @@ INSTRUMENT_ATTRIBUTES = {
     "shutter": "`closed` in samples that were recorded with a closed shutter",
     "corner_light": "`present` or `absent`: whether the samples contain light that "
     "corners reflect twice. Default: absent in simulated samples, else present",
+    "surroundings_light": "`present` or `absent`: whether the samples contain "
+    "scattered light of the surroundings. Default: absent in simulated samples, else "
+    "present",
 }

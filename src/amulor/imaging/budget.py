@@ -21,6 +21,7 @@ from amulor.imaging.instrument_tests import InstrumentTest, instrument_tests
 from amulor.imaging.late_light import LateFit, late_light
 from amulor.imaging.observation import Observation
 from amulor.imaging.ranges import Ranges
+from amulor.imaging.surroundings import SurroundingLight, surroundings_error
 from amulor.survey.calibration import Calibration
 from amulor.survey.properties import group_index_uncertainty
 
@@ -36,7 +37,8 @@ def completed(
     *,
     fit: LateFit | None = None,
     patches: Patches | None = None,
-) -> tuple[Ranges, dict[str, Any], LateFit, Patches | None]:
+    around: SurroundingLight | None = None,
+) -> tuple[Ranges, dict[str, Any], LateFit, Patches | None, SurroundingLight | None]:
     """Subtract late light, add error terms; return ranges, attributes, statistics."""
     slant_range = np.where(ranges.usable, ranges.slant_range, np.nan)
     light, fit = late_light(observation, slant_range, weight=ranges.weight, fit=fit)
@@ -57,9 +59,19 @@ def completed(
         fit=patches,
     )
     flag = ranges.flag
+    others = [term**2 for term in shared.values()]
+    rest = np.sqrt(np.sum([ranges.total**2, *others], axis=0))
+    surroundings, around = surroundings_error(
+        observation,
+        slant_range - light.late,
+        weight=ranges.weight,
+        slope=ranges.slope,
+        noise=rest,
+        fit=around,
+    )
+    if surroundings is not None:
+        shared["surroundings"] = surroundings
     if corners is not None:
-        others = [term**2 for term in shared.values()]
-        rest = np.sqrt(np.sum([ranges.total**2, *others], axis=0))
         flag = flag | np.where(corners > rest, np.int16(QualityFlag.CORNER), 0)
         shared["corners"] = corners
     unknown = _unknown_of_water(observation.channel)
@@ -98,6 +110,7 @@ def completed(
         attributes,
         fit,
         patches,
+        around,
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor.cube.error import may_contain
-from amulor.cube.tiles import Span
+from amulor.cube.tiles import Span, span_of
 from amulor.errors import SurveyError
 from amulor.imaging.observation import Observation
 from amulor.optics import target_echo
@@ -48,6 +48,8 @@ _CORNER_SHARE = 0.02
 _JOINT = 2.0
 #: Depths at which the echo of a white surface is computed.
 _DEPTHS = 5
+#: Angle by which directions reach beyond those of the scan [rad].
+_MARGIN = 1e-6
 #: Pixels that are computed at once.
 _AT_ONCE = 4096
 
@@ -142,7 +144,7 @@ def corner_error(
         if fit is None:
             fit = _patches(
                 observation, slant_range, position, noise, receiver=receiver,
-                brightness=_brightness(observation, survey, water, slant_range)
+                brightness=echo_over_white(observation, survey, water, slant_range)
                 / passed,
             )  # fmt: skip
     except SurveyError:
@@ -211,20 +213,37 @@ def _leverage(observation: Observation) -> float:
     return parallel + (crossed - parallel) / (1 - _WATER_TO_SURFACE)
 
 
-def _brightness(
+def echo_over_white(
     observation: Observation,
     survey: Survey,
     water: WaterProperties,
     slant_range: Floats,
+    *,
+    directions: int = 1,
 ) -> Floats:
-    """Return the echo relative to that of a white surface facing the receiver [1]."""
+    """Return the echo relative to that of a white surface facing the receiver [1].
+
+    With several directions along each side of the scan, the field of view of a
+    receiver that does not move is taken into account.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
     geometry = observation.geometry
     depth = geometry.depth(slant_range)
     usable = np.isfinite(depth) & (depth > 0)
     if not usable.any():
         return np.full(depth.shape, np.nan)
-    center = (np.array([np.mean(a)]) for a in (geometry.azimuth, geometry.elevation))
-    seen = view(survey, *center)
+    span = observation.span or span_of(observation.channel)
+    sides = [
+        np.array([np.mean(angle)])
+        if directions == 1
+        else np.linspace(low - _MARGIN, high + _MARGIN, directions)
+        for angle, (low, high) in (
+            (geometry.azimuth, span.azimuth),
+            (geometry.elevation, span.elevation),
+        )
+    ]
+    seen = view(survey, *np.meshgrid(*sides, [0.0], indexing="ij")[:2])
     ends = float(depth[usable].min()), float(depth[usable].max())
     depths = np.geomspace(ends[0] * 0.999, ends[1] * 1.001, _DEPTHS)
     white = target_echo.small_angle_target_response(
@@ -239,12 +258,17 @@ def _brightness(
         instrument.modulation_depth
         * instrument.detector.volt_per_photoelectron_rate
         * counting.full_rate(survey)
-        * float(seen.transmission.ravel()[0])
+        * float(seen.transmission.mean())
     )
-    logarithm = np.interp(
-        np.log(np.where(usable, depth, ends[0])), np.log(depths), np.log(np.abs(white))
-    )
-    bright = np.abs(observation.signal[0]) / (volt * np.exp(logarithm))
+    logarithm = np.log(np.abs(white))
+    places = np.log(np.where(usable, depth, ends[0]))
+    if directions == 1:
+        values = np.interp(places, np.log(depths), logarithm.ravel())
+    else:
+        values = RegularGridInterpolator(
+            (*sides, np.log(depths)), logarithm, method="cubic"
+        )(np.stack([geometry.azimuth, geometry.elevation, places], axis=-1))
+    bright = np.abs(observation.signal[0]) / (volt * np.exp(values))
     return np.asarray(np.where(usable, bright, np.nan))
 
 

@@ -29,6 +29,7 @@ from amulor.imaging.ranges import (
     ranges_of_path,
     weight_of,
 )
+from amulor.imaging.surroundings import SurroundingLight
 from amulor.optics import ambiguity, ranging
 from amulor.optics._mixed_beam import SpreadFit, mixed_beams
 from amulor.survey.reach import unsettled_interval
@@ -58,6 +59,8 @@ class RangeImageFit:
     """Statistics for slant ranges: frequency weights and error terms."""
     late: LateFit
     """Statistics for late light in the final ranges."""
+    around: SurroundingLight | None = None
+    """Light of the surroundings; None for a cube without such light."""
     patches: Patches | None = None
     """Surface patches with mutual illumination; None for a cube without such light."""
     phases: FrequencyPhase | None = None
@@ -208,8 +211,9 @@ def fitted_range_image(
     tell("error budget", 0.6)
     late = None if fit is None else fit.late
     patches = None if fit is None else fit.patches
-    image, late, patches = _image(
-        observation, ranges, interval=interval, fit=late, patches=patches
+    around = None if fit is None else fit.around
+    image, late, patches, around = _image(
+        observation, ranges, interval=interval, fit=late, patches=patches, around=around
     )
     image = image.assign_coords(readings)
     if "truth_reading_slant_range" in samples:
@@ -236,6 +240,7 @@ def fitted_range_image(
         ranges=of_ranges,
         late=late,
         patches=patches,
+        around=around,
         phases=phases,
         steps=steps,
         path=of_path,
@@ -345,10 +350,11 @@ def _image(
     interval: tuple[float, float] | None,
     fit: LateFit | None = None,
     patches: Patches | None = None,
-) -> tuple[xr.Dataset, LateFit, Patches | None]:
-    """Range image with error budget; return also late-light and corner statistics."""
-    ranges, attributes, fit, patches = budget.completed(
-        observation, ranges, fit=fit, patches=patches
+    around: SurroundingLight | None = None,
+) -> tuple[xr.Dataset, LateFit, Patches | None, SurroundingLight | None]:
+    """Range image with error budget; return also the statistics of its terms."""
+    ranges, attributes, fit, patches, around = budget.completed(
+        observation, ranges, fit=fit, patches=patches, around=around
     )
     channel, usable = observation.channel, ranges.usable
     variables: dict[str, NDArray[Any]] = {
@@ -388,7 +394,7 @@ def _image(
     if truth is not None:
         pixel_truth = truth[[n for n in truth if truth[n].dims == ("row", "column")]]
         image = cubes.attach(image, pixel_truth, "truth")
-    return cubes.without_unknown_errors(image), fit, patches
+    return cubes.without_unknown_errors(image), fit, patches, around
 
 
 #: Times of readings, which an image has for all readings of its ranges.

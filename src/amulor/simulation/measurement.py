@@ -20,6 +20,7 @@ from amulor.simulation.gradient import with_gradient
 from amulor.simulation.instrument_errors import Chain
 from amulor.simulation.models import DEFAULT_MODEL, FittedModel, SignalModel
 from amulor.simulation.standing_reference import ReferenceReadings
+from amulor.simulation.texture_blur import has_texture
 from amulor.simulation.vehicle import VehicleMotion
 from amulor.survey import Survey
 from amulor.survey.counting import photon_noise_volt
@@ -149,7 +150,8 @@ class Setting:
                 source=f"simulation by amulor, {model.title}",
                 simulated=np.int32(1),
                 late_echo=model.late_echo,
-                corner_light="present" if survey.scan.second_reflection else "absent",
+                corner_light=_presence(survey.scan.second_reflection),
+                surroundings_light=_presence(bool(has_texture(survey).any())),
                 seed=seed,
                 survey=text,
                 input_digests=f"survey {cube.digest(text)}",
@@ -158,6 +160,10 @@ class Setting:
                 **({} if reference is None else reference.attributes),
             ),
         )
+
+
+def _presence(present: bool | None) -> str:
+    return "present" if present else "absent"
 
 
 def fit(setting: Setting) -> SignalModel:

@@ -17,11 +17,22 @@ from amulor.optics.phase_functions.phase_function import PhaseFunction
 from amulor.optics.phase_functions.tables import tabulated
 from amulor.survey.properties import WaterProperties
 from amulor.survey.survey import Survey
-from amulor.survey.view import View, beam_arguments, kernel_arguments, refuse_layers
+from amulor.survey.view import (
+    View,
+    beam_arguments,
+    has_sharp_receiver,
+    kernel_arguments,
+    refuse_layers,
+)
 from amulor.survey.water import Water
 from amulor.survey.waters.phase_function import phase_function as stated_phase_function
 
-__all__ = ["phase_function_of", "whole_function_arguments", "whole_phase_function"]
+__all__ = [
+    "gaussian_arguments",
+    "phase_function_of",
+    "whole_function_arguments",
+    "whole_phase_function",
+]
 
 #: Scattering beyond the split angle up to which a survey may call it none [1].
 NEGLIGIBLE = 0.02
@@ -106,6 +117,17 @@ def whole_function_arguments(
         "phase_function": function,
         "split_angle": water.split_angle,
     }
+
+
+def gaussian_arguments(
+    survey: Survey, water: WaterProperties, view: View
+) -> dict[str, Any]:
+    """Return the arguments with a Gaussian receiver of equal mean square width."""
+    arguments = whole_function_arguments(survey, water, view)
+    if has_sharp_receiver(survey):
+        for name in ("receiver_radius", "acceptance_angle"):
+            arguments[name] = arguments[name] / math.sqrt(2)
+    return arguments
 
 
 @lru_cache(maxsize=8)
