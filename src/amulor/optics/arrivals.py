@@ -486,7 +486,7 @@ def photon_arrivals(
         Share of the laser pulses for which the counter was ready, for each bin (dead
         time) [1].
     neighbors : int
-        Pixels on each side whose photons select the place of the echo.
+        Pixels on each side whose photons select the place of the echo [1].
 
     Returns
     -------
