@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,7 @@ from amulor.optics import rays
 from amulor.simulation.scene import Hits, Scene, aperture_points
 from amulor.simulation.second_reflection import second_reflection
 from amulor.simulation.texture_blur import texture_change
-from amulor.simulation.vehicle import VehicleMotion
+from amulor.simulation.vehicle import Placed, Standing, VehicleMotion
 from amulor.survey import Survey, WaterProperties, counting, surface, water_properties
 from amulor.survey.directions import Floats, scan_directions
 from amulor.survey.view import View, line_of_sight, medium_of, view
@@ -199,56 +199,6 @@ def trace(
         surroundings=surroundings,
         twice=twice,
     )
-
-
-class Standing:
-    """Place of an instrument whose axes are those of the targets."""
-
-    def points(self, points: Floats) -> Floats:
-        """Return points of the instrument's axes in the targets' axes [m]."""
-        return points
-
-    def directions(self, directions: Floats) -> Floats:
-        """Return directions of the instrument's axes in the targets' axes [1]."""
-        return directions
-
-    def in_instrument(self, hits: Hits) -> Hits:
-        """Return hits in the instrument's axes."""
-        return hits
-
-    def of(self, index: NDArray[np.intp]) -> Standing:
-        """Return the place of some of the beams."""
-        return self
-
-
-@dataclass(frozen=True)
-class Placed(Standing):
-    """Place of a moving instrument in the targets' axes, for each beam."""
-
-    position: Floats
-    rotation: Floats
-
-    def points(self, points: Floats) -> Floats:
-        """Return points of the instrument's axes in the targets' axes [m]."""
-        return self.position + self.directions(points)
-
-    def directions(self, directions: Floats) -> Floats:
-        """Return directions of the instrument's axes in the targets' axes [1]."""
-        return np.asarray((self.rotation @ directions[..., None])[..., 0])
-
-    def in_instrument(self, hits: Hits) -> Hits:
-        """Return hits in the instrument's axes."""
-        back = np.swapaxes(self.rotation, 1, 2)
-        away = (hits.point - self.position)[..., None]
-        return replace(
-            hits,
-            point=(back @ away)[..., 0],
-            normal=(back @ hits.normal[..., None])[..., 0],
-        )
-
-    def of(self, index: NDArray[np.intp]) -> Standing:
-        """Return the place of some of the beams."""
-        return Placed(self.position[index], self.rotation[index])
 
 
 def _brightness(

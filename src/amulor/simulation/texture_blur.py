@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,10 @@ from scipy.constants import speed_of_light
 from amulor.optics import rays
 from amulor.optics._surroundings import Surroundings
 from amulor.simulation.scene import Hits, Scene
+from amulor.simulation.vehicle import Standing
 from amulor.survey import Survey, WaterProperties
 from amulor.survey.view import View
 from amulor.survey.waters.whole_function import gaussian_arguments
-
-if TYPE_CHECKING:
-    from amulor.simulation.geometry import Standing
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -1,9 +1,9 @@
-"""Simulated vehicle: its true motion, and the trajectory that its sensors measure."""
+"""Simulated vehicle: its true motion and places, and what its sensors record."""
 
 from __future__ import annotations
 
 import numbers
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from amulor.errors import SurveyError
 from amulor.platform import Trajectory
 from amulor.platform.mounting import error_factors
 from amulor.platform.trajectory import usual_gap
+from amulor.simulation.scene import Hits
 from amulor.survey import Mounting, Platform, Survey
 from amulor.survey.course import boresight_of, in_scene, planned, scene_axes
 from amulor.survey.directions import readings_in_turn
@@ -217,3 +218,53 @@ class VehicleMotion:
             crs=pose.crs,
             crs_offset=pose.crs_offset,
         )
+
+
+class Standing:
+    """Place of an instrument whose axes are those of the targets."""
+
+    def points(self, points: Floats) -> Floats:
+        """Return points of the instrument's axes in the targets' axes [m]."""
+        return points
+
+    def directions(self, directions: Floats) -> Floats:
+        """Return directions of the instrument's axes in the targets' axes [1]."""
+        return directions
+
+    def in_instrument(self, hits: Hits) -> Hits:
+        """Return hits in the instrument's axes."""
+        return hits
+
+    def of(self, index: NDArray[np.intp]) -> Standing:
+        """Return the place of some of the beams."""
+        return self
+
+
+@dataclass(frozen=True)
+class Placed(Standing):
+    """Place of a moving instrument in the targets' axes, for each beam."""
+
+    position: Floats
+    rotation: Floats
+
+    def points(self, points: Floats) -> Floats:
+        """Return points of the instrument's axes in the targets' axes [m]."""
+        return self.position + self.directions(points)
+
+    def directions(self, directions: Floats) -> Floats:
+        """Return directions of the instrument's axes in the targets' axes [1]."""
+        return np.asarray((self.rotation @ directions[..., None])[..., 0])
+
+    def in_instrument(self, hits: Hits) -> Hits:
+        """Return hits in the instrument's axes."""
+        back = np.swapaxes(self.rotation, 1, 2)
+        away = (hits.point - self.position)[..., None]
+        return replace(
+            hits,
+            point=(back @ away)[..., 0],
+            normal=(back @ hits.normal[..., None])[..., 0],
+        )
+
+    def of(self, index: NDArray[np.intp]) -> Standing:
+        """Return the place of some of the beams."""
+        return Placed(self.position[index], self.rotation[index])
