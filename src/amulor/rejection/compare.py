@@ -195,6 +195,8 @@ class _Trial:
     """Optical paths, NaN in untrusted pixels [m]."""
     own_noise: float = math.nan
     """Median range uncertainty without errors common to all pixels [m]."""
+    repeat: float = math.nan
+    """Interval of paths after which the phases of its frequencies repeat [m]."""
 
 
 def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
@@ -520,7 +522,12 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         caution=caution,
         note=note,
     )
-    return _Trial(row=row, path=np.where(trusted, path, np.nan), own_noise=own_noise)
+    return _Trial(
+        row=row,
+        path=np.where(trusted, path, np.nan),
+        own_noise=own_noise,
+        repeat=repeated_path(target["modulation_frequency"].values),
+    )
 
 
 def _has_neighbor(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -559,7 +566,6 @@ def _steadier(trials: list[_Trial], best: int, cube: xr.Dataset) -> _Steadier | 
     if not (np.isfinite(first.row.error) and first.own_noise > 0):
         return None
     group_index = float(cube["geometry"].attrs["group_index"])
-    repeat = repeated_path(cube["modulation_frequency"].values)
     least = first.own_noise / (1 + _EQUAL)
     chosen = None
     for index, trial in enumerate(trials):
@@ -571,7 +577,7 @@ def _steadier(trials: list[_Trial], best: int, cube: xr.Dataset) -> _Steadier | 
             or not row.error <= _LARGER * first.row.error
         ):
             continue
-        differences = _differences(trial, first, repeat) / (2 * group_index)
+        differences = _differences(trial, first) / (2 * group_index)
         if differences.size < _FEWEST_PIXELS:
             continue
         middle = float(np.median(differences))
@@ -584,12 +590,16 @@ def _steadier(trials: list[_Trial], best: int, cube: xr.Dataset) -> _Steadier | 
     return chosen
 
 
-def _differences(trial: _Trial, other: _Trial, repeat: float) -> Floats:
-    """Return differences of optical paths, less whole intervals [m]."""
+def _differences(trial: _Trial, other: _Trial) -> Floats:
+    """Return differences of optical paths, less whole intervals [m].
+
+    The intervals are those of the trial whose phases repeat earlier.
+    """
     if trial.path is None or other.path is None:
         return np.zeros(0)
     differences = trial.path - other.path
     differences = differences[np.isfinite(differences)]
+    repeat = min(trial.repeat, other.repeat)
     return np.asarray(differences - repeat * np.round(differences / repeat))
 
 
@@ -602,13 +612,12 @@ def _disagreement(
     """
     chosen = trials[best]
     group_index = float(cube["geometry"].attrs["group_index"])
-    repeat = repeated_path(cube["modulation_frequency"].values)
     other, largest = None, 0.0
     for trial in trials:
         row = trial.row
         if trial is chosen or row.caution is not Caution.NONE:
             continue
-        differences = _differences(trial, chosen, repeat)
+        differences = _differences(trial, chosen)
         if differences.size < _FEWEST_PIXELS:
             continue
         difference = abs(float(np.median(differences))) / (2 * group_index)

@@ -290,14 +290,19 @@ def test_ranges_of_methods_are_compared_within_their_errors(
 ) -> None:
     module = importlib.import_module("amulor.rejection.compare")
     cube = by_hand(frequency=[20e6, 80e6], channels={"VV": (1.0, 1.0)})
-    # The phases of 20 and 80 MHz repeat after a path of 299792458 / 20e6 m.
+    # The phases of 20 and 80 MHz repeat after a path of 299792458 / 20e6 m, those of
+    # 80 MHz alone after a quarter of it.
+    repeat = 299792458.0 / 20e6
     path = np.full((6, 8), 4.0)
-    apart = path + 2 * 1.38 * 10e-3 + 299792458.0 / 20e6
+    apart = path + 2 * 1.38 * 10e-3 + repeat
     module = importlib.import_module("amulor.rejection.compare")
     trials = [
-        module._Trial(row=_row("first", noise), path=path),
-        module._Trial(row=_row("second", noise), path=apart),
-        module._Trial(row=_row("near", noise), path=path + 1e-4),
+        module._Trial(row=_row("first", noise), path=path, repeat=repeat),
+        module._Trial(row=_row("second", noise), path=apart, repeat=repeat),
+        module._Trial(row=_row("near", noise), path=path + 1e-4, repeat=repeat),
+        module._Trial(
+            row=_row("one frequency", noise), path=path - repeat / 4, repeat=repeat / 4
+        ),
     ]
     other, difference = module._disagreement(trials, 0, cube)
     assert difference == pytest.approx(expected, rel=1e-6)
@@ -389,6 +394,7 @@ def test_a_method_that_agrees_with_the_first_and_has_less_noise_is_taken(
             ),
             path=2 * index * path,
             own_noise=own,
+            repeat=7.69,
         )
         for name, total, path, own in (
             ("first", 0.5, first, 2.3e-4), ("second", error, second, 1e-4),
@@ -404,14 +410,18 @@ def test_paths_of_two_methods_differ_up_to_whole_intervals() -> None:
     module = importlib.import_module("amulor.rejection.compare")
     noise = 1e-3
     first = module._Trial(
-        row=_row("first", noise), path=np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+        row=_row("first", noise),
+        path=np.array([1.0, 2.0, np.nan, 4.0, 5.0]),
+        repeat=1.0,
     )
     other = module._Trial(
-        row=_row("other", noise), path=np.array([0.7, 0.8, 1.0, 4.7, np.nan])
+        row=_row("other", noise),
+        path=np.array([0.7, 0.8, 1.0, 4.7, np.nan]),
+        repeat=4.0,
     )
-    # Intervals of 1 m: 0.3, 1.2 and -0.7 are 0.3, 0.2 and 0.3.
-    found = module._differences(first, other, 1.0)
+    # The shorter interval counts, 1 m: 0.3, 1.2 and -0.7 are 0.3, 0.2 and 0.3.
+    found = module._differences(first, other)
     assert found == pytest.approx([0.3, 0.2, 0.3])
     none = module._Trial(row=_row("none", noise), path=None)
     for pair in ((none, other), (first, none)):
-        assert module._differences(*pair, 1.0).size == 0
+        assert module._differences(*pair).size == 0
