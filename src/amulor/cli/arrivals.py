@@ -13,12 +13,12 @@ def arrivals(
     /,
     *,
     output: Annotated[Path, Parameter(alias="-o")],
+    group_index: float,
     scene: int | None = None,
     gate: str | None = None,
     neighbors: int = 0,
     repetition: str | None = None,
     scan_side: str | None = None,
-    group_index: float = 1.0,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Compute a range image from the arrival of a known pulse or code in records.
@@ -29,6 +29,8 @@ def arrivals(
         Histograms or waveforms (npz, csv, ptu) with a recorded pulse or a code.
     output
         File to write (netCDF).
+    group_index
+        Group index of the medium, such as 1.34 for water or 1 for air.
     scene
         Index of the scene, from 0, if the file has several.
     gate
@@ -41,8 +43,6 @@ def arrivals(
         time that the file states.
     scan_side
         Side of the scanned square, such as "60 cm".
-    group_index
-        Group index of the medium, such as 1.34 for water.
     overwrite
         Replace an existing file.
     """

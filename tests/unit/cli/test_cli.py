@@ -22,7 +22,7 @@ from amulor.studies.ladder import survey_text
 RECORDINGS = ["import", "recordings", "none.csv"]
 PLATE = ["calibrate", "plate", "a.nc", "--distance", "1 m", "-o", "x.toml"]
 TRANSIENTS = ["import", "transients", "none.npz", "--frequency", "9MHz", "-o", "b.nc"]
-ARRIVALS = ["import", "arrivals", "none.npz", "-o", "b.nc"]
+ARRIVALS = ["import", "arrivals", "none.npz", "--group-index", "1", "-o", "b.nc"]
 UNMIX = ["reject", "none.nc", "--method", "polarization", "-o", "b.nc"]
 COLUMN = ["reject", "none.nc", "--method", "open-water", "-o", "b.nc"]
 RATIOS = ["--target-ratio", "0.2", "--water-ratio", "0.1"]

@@ -219,7 +219,7 @@ def test_wrong_options_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="neighbors are for photon histograms"):
         io.read_arrivals(path, neighbors=1)
     with pytest.raises(UsageError, match="must not be negative"):
-        arrivals(path, output=tmp_path / "image.nc", neighbors=-1)
+        arrivals(path, output=tmp_path / "image.nc", group_index=1.0, neighbors=-1)
     with pytest.raises(UsageError, match="two increasing times"):
         gate_of("20ns,10ns")
     np.savez(
