@@ -92,7 +92,13 @@ CASES = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=pytest.mark.study if case.startswith("steep") else ())
+        for case in CASES
+    ],
+)
 def test_scattered_light_agrees_with_coherency_matrices(case):
     faces, incidence, stokes = CASES[case]
     layer = layer_with_faces.Layer(albedo=0.9, thickness=1.5, **faces)

@@ -247,6 +247,7 @@ def test_without_milk_or_without_a_baseline_nothing_drifts(quick):
     assert not check.passed
 
 
+@pytest.mark.study
 def test_noise_of_a_line_is_that_of_the_apparatus(quick):
     line = short_lines.line(quick, "b", "VH")
     assert line.measured[0] == 0.0

@@ -72,7 +72,7 @@ def test_simulated_scans_scatter_as_predicted_and_photons_agree() -> None:
     assert found.to_dict()["scans"]["holds"] is True
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_prediction_for_another_instrument_does_not_hold(plate: Survey) -> None:
     """Scans at a third of the power are no confirmation of the whole."""
     still = {"water.signal_fluctuation": 0.0, "instrument.lock_in.phase_floor": 0.0}

@@ -18,7 +18,7 @@ def _merit(goal: Goal, chosen: Parameters, draws: int) -> float:
     return float(merits(goal, score)[0])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_more_light_wins_where_the_optics_lose_it() -> None:
     start = paper_goal.goal()
     # 39 MHz turns a phase into a shorter range than 36.8 MHz; with little light the

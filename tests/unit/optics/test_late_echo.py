@@ -301,7 +301,12 @@ def test_photons_arrive_as_late():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize(
-    ("scattering", "depth"), [(0.35, 1.6), (0.35, 3.2), (0.7, 2.4)]
+    ("scattering", "depth"),
+    [
+        pytest.param(0.35, 1.6, marks=pytest.mark.study),
+        pytest.param(0.35, 3.2, marks=pytest.mark.study),
+        (0.7, 2.4),
+    ],
 )
 def test_photons_of_three_waters_arrive_as_late(name, scattering, depth):
     check(name, scattering=scattering, depth=depth, histories=400_000)
