@@ -20,8 +20,8 @@ from amulor.optics.phase_functions.phase_function import PhaseFunction
 Array = NDArray[np.float64]
 Phasors = NDArray[np.complex128]
 
-#: Phase over a panel of angles that is still resolved [rad].
-_OSCILLATIONS = 20.0
+#: Nodes of a panel of angles, and phase over it that they still resolve [rad].
+_NODES, _OSCILLATIONS = 16, 20.0
 #: Grid points per factor of two, of spatial frequency and distance.
 _PER_OCTAVE = 7
 #: Least kappa times the depth, and least distance times the largest kappa [1].
@@ -161,22 +161,27 @@ def _damped(
     angle, share, flat, straight, value, gradient = _single(
         phase_function, split_angle, low + near, high + far
     )
+    steps = np.arange(near, far + 1)
     excess = 1 / np.cos(angle) - 1
-    out = np.empty((4, far - near + 1, high - low + 1), dtype=complex)
-    for row, step in enumerate(range(near, far + 1)):
-        x = 2.0 ** (step / _PER_OCTAVE)
-        light = share * np.exp(rate * x * excess)
-        turned = np.stack([light, angle**2 * light]).view(float).reshape(2, -1, 2)
-        part = slice(row, row + high - low + 1)
-        y = 2.0 ** (np.arange(low + step, high + step + 1) / _PER_OCTAVE)
-        zeroth = [(value[part] @ each).view(complex)[:, 0] for each in turned]
-        lever = np.stack([angle * light]).view(float).reshape(-1, 2)
-        first = (gradient[part] @ lever).view(complex)[:, 0]
-        out[0, row] = flat[part] - fraction + (zeroth[0] - straight[part])
-        out[1, row] = -first
-        out[2, row] = -first / y
-        out[3, row] = first / y - zeroth[1]
-    return out[0], out[1], out[2], out[3]
+    light = share * np.exp(
+        np.multiply.outer(rate * 2.0 ** (steps / _PER_OCTAVE), excess)
+    )
+    # Rows of the transforms, over distance and kappa: both steps count.
+    rows = np.arange(len(steps))[:, None] + np.arange(high - low + 1)
+    y = 2.0 ** ((low + near + rows) / _PER_OCTAVE)
+
+    def summed(transform: Array, light: Phasors) -> Phasors:
+        """Sum the light of all angles; one product of matrices has all sums needed."""
+        every = transform @ light.real.T + 1j * (transform @ light.imag.T)
+        return np.asarray(every[rows, np.arange(len(steps))[:, None]])
+
+    first = summed(gradient, angle * light)
+    return (
+        flat[rows] - fraction + (summed(value, light) - straight[rows]),
+        -first,
+        -first / y,
+        first / y - summed(value, angle**2 * light),
+    )
 
 
 @lru_cache(maxsize=8)
@@ -209,7 +214,10 @@ def _resolved(phase: Array) -> Array:
 def _angles(
     phase_function: PhaseFunction, split_angle: float
 ) -> tuple[Array, Array, Array]:
-    """Return scattering angles up to a right angle, shares of light, panel widths."""
+    """Return scattering angles up to a right angle, shares of light, panel widths.
+
+    The width is that of a panel with `_NODES` nodes as dense as those of the angle.
+    """
     top = min(split_angle, np.pi / 2)
     bottom = min(_STRAIGHT, top / 1000)
     inner = phase_function.panels.edges
@@ -220,9 +228,16 @@ def _angles(
         count = int(np.ceil((high - low) / _PANEL))
         pieces.append(np.linspace(low, high, count + 1)[1:])
     edges = np.concatenate(pieces)
-    node, weight = gauss_legendre(16)
-    half = np.diff(edges)[:, None] / 2
-    angle = edges[:-1, None] + half * (node + 1)
-    share = 2 * np.pi * phase_function.panels.value(angle) * np.sin(angle)
-    width = np.broadcast_to(2 * half, angle.shape)
-    return angle.ravel(), (share * half * weight).ravel(), width.ravel()
+    # Narrow panels, as of tables, are smooth: four nodes have all of their light.
+    low, high = edges[:-1], edges[1:]
+    narrow = high < 1.02 * low
+    angles, shares, widths = [], [], []
+    for nodes, chosen in ((4, narrow), (_NODES, ~narrow)):
+        node, weight = gauss_legendre(nodes)
+        half = (high - low)[chosen, None] / 2
+        angle = low[chosen, None] + half * (node + 1)
+        share = 2 * np.pi * phase_function.panels.value(angle) * np.sin(angle)
+        angles.append(angle.ravel())
+        shares.append((share * half * weight).ravel())
+        widths.append(np.repeat(2 * half * (_NODES / nodes), nodes))
+    return np.concatenate(angles), np.concatenate(shares), np.concatenate(widths)
