@@ -337,23 +337,28 @@ def from_temperatures(plates: Sequence[xr.Dataset]) -> Calibration:
     Examples
     --------
     >>> from amulor import Survey, acquisition, rejection, simulation
-    >>> survey = Survey.preset("amulor-2010")
+    >>> survey = Survey.preset("amulor-2010").with_(
+    ...     {
+    ...         "scan.columns": 8,
+    ...         "scan.rows": 8,
+    ...         "scan.open_water": None,
+    ...         "water.absorption": "0.05 1/m",
+    ...         "water.scattering": "0.001 1/m",
+    ...     }
+    ... )
     >>> run = []
     >>> for value in (10, 20, 30):
     ...     warm = {"temperature": value, "delay_per_degree": "20 ps"}
     ...     cube = simulation.simulate(
     ...         survey.with_(
     ...             {
-    ...                 "scan.columns": 8,
-    ...                 "scan.rows": 8,
     ...                 "scan.instrument_temperature": value,
     ...                 "instrument.errors": {"temperature": warm},
     ...             }
     ...         ),
     ...         rng=1,
-    ...         model=simulation.ClosureModel(),
     ...     )
-    ...     run.append(rejection.open_water(cube))
+    ...     run.append(rejection.keep_water(cube))
     >>> calibration = acquisition.from_temperatures(run)
     >>> change = calibration.temperature[0].phase_per_degree
     >>> print(f"{1e3 * change:.1f} mrad per degree")  # 2 pi 39 MHz times 20 ps: 4.9
