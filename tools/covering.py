@@ -30,9 +30,13 @@ __all__ = [
 #: The module that probes call; a plug-in of pytest that measures times, too.
 PROBE = '''"""Writes the tests that run the probes."""
 
+import hashlib
+import importlib
 import os
+from pathlib import Path
 
 _FILE = os.environ.get("AMULOR_PROBES")
+_SOURCES = os.environ.get("AMULOR_SOURCES")
 _seen = set()
 
 
@@ -50,10 +54,28 @@ def hit(number):
         _write("hit", number, test)
 
 
+def pytest_configure():
+    """Let compiled functions of the sources count as those of the copy."""
+    if not _SOURCES or not (Path(_SOURCES) / "_compiled.py").exists():
+        return
+    compiled = importlib.import_module("amulor._compiled")
+    copy = Path(compiled.__file__).parent
+
+    def source(path, package):
+        text = (Path(_SOURCES) / path.relative_to(copy)).read_bytes()
+        return text, hashlib.sha256(text).digest()
+
+    compiled._source = source
+
+
 def pytest_runtest_logreport(report):
     _write("time", report.nodeid, f"{report.duration:.3f}")
 '''
 _Functions = ast.FunctionDef | ast.AsyncFunctionDef
+#: Decorators of the package that compile a function with certain options.
+_COMPILERS = frozenset(
+    {"allocating", "allocating_entry", "entry", "inner", "kernel", "step"}
+)
 #: A file and the first line and column of a statement.
 Place = tuple[Path, int, int]
 
@@ -166,7 +188,8 @@ def _uses(file: Path, name: str) -> list[tuple[Path, ast.stmt, list[ast.AST]]]:
 def is_compiled(function: ast.AST) -> bool:
     """Return whether a function is compiled by its decorators."""
     decorators = getattr(function, "decorator_list", [])
-    return any("jit" in ast.unparse(decorator) for decorator in decorators)
+    words = [ast.unparse(decorator) for decorator in decorators]
+    return any("jit" in word or word in _COMPILERS for word in words)
 
 
 def search_path(copy: Path) -> str:
@@ -242,7 +265,7 @@ def covering(
     answer.touch()
     environment = os.environ | {
         "PYTHONPATH": search_path(copy), "PYTHONDONTWRITEBYTECODE": "1",
-        "AMULOR_PROBES": str(answer),
+        "AMULOR_PROBES": str(answer), "AMULOR_SOURCES": str(package),
     }  # fmt: skip
     environment.pop("PYTEST_CURRENT_TEST", None)
     words = [sys.executable, "-m", "pytest", "-q", "-p", "amulor_probe"]

@@ -9,8 +9,11 @@ change is a line of `tools/mutations.csv`; a second run continues from there. It
 the share that was caught with its interval of 95 %, by folder, and each change that no
 test noticed: close it by a test of behavior, or see that it changes nothing that can be
 observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Changes
-listed there are drawn and counted, but not tried. Neither are sizes of letters and
-lines in figures, places on the bar of progress and sizes of caches.
+listed there are drawn and counted, but not tried. Neither are changes that alter nothing
+by their kind: sizes of letters and lines in figures, the bar of progress, sizes of
+caches and blocks, None in place of False, another negative number as the open length of
+`reshape`. Counts and limits of 0 or 1 are tried with `<=` in place of `<`; other limits
+of real numbers, which are met exactly by no value, with `>`.
 
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
 run each change of the sample to a file. A campaign with `--covering FILE` then runs
@@ -91,6 +94,10 @@ _APPEARANCE = re.compile(
 _UNSEEN = frozenset(
     {"part", "_progress.part", "tell", "lru_cache", "functools.lru_cache"}
 )
+#: Numbers that are computed at once; results do not depend on them.
+_SIZES = frozenset({"_AT_ONCE", "_BLOCK", "_BLOCK_SEGMENTS"})
+#: Counts, of which a comparison is changed by one.
+_COUNTS = re.compile(r"\blen\(|\.(size|ndim|shape|count)\b")
 #: Tests that look at all modules.
 _OF_ALL = ("test_messages.py", "test_public_surface.py")
 _LISTINGS = ("tests/unit/test_public_surface.py",)
@@ -106,6 +113,9 @@ _COMPARISONS: dict[type, type] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt,
     ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
     ast.In: ast.NotIn, ast.NotIn: ast.In,
+}  # fmt: skip
+_REVERSED: dict[type, type] = {
+    ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE,
 }  # fmt: skip
 
 
@@ -128,7 +138,7 @@ class Mutant:
     place: tuple[int, ...]
     """Kind, begin and end of what is replaced, in lines and bytes."""
     unseen: bool = False
-    """Whether it only changes the appearance of a figure, progress, or a cache."""
+    """Whether it alters no result by its kind."""
 
     @property
     def code(self) -> str:
@@ -200,7 +210,8 @@ def _changes(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str, str]]
                 new = _with(node, op=_ARITHMETIC[type(op)]())
                 yield node, f"({new})", f"{ast.unparse(node)} -> {new}"
             case ast.Compare(ops=[op]) if type(op) in _COMPARISONS:
-                new = _with(node, ops=[_COMPARISONS[type(op)]()])
+                table = _REVERSED if _is_of_reals(node) else _COMPARISONS
+                new = _with(node, ops=[table[type(op)]()])
                 yield node, f"({new})", f"{ast.unparse(node)} -> {new}"
             case ast.BoolOp(op=op):
                 other = ast.Or() if isinstance(op, ast.And) else ast.And()
@@ -215,16 +226,46 @@ def _changes(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str, str]]
                 yield node, "pass", f"without {ast.unparse(node)}"
 
 
+def _is_of_reals(node: ast.Compare) -> bool:
+    """Return whether a comparison has a limit that no value meets exactly."""
+    sides = node.left, *node.comparators
+    return (
+        type(node.ops[0]) in _REVERSED
+        and not any(
+            isinstance(side, ast.Constant)
+            and (isinstance(side.value, int) or side.value in (0.0, 1.0))
+            for side in sides
+        )
+        and not _COUNTS.search(ast.unparse(node))
+    )
+
+
 def _unseen(tree: ast.Module) -> set[int]:
-    """Return constants that only change the appearance of figures, or speed."""
+    """Return parts whose change alters no result by its kind."""
     parts: list[ast.AST] = []
+    single: set[int] = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            if ast.unparse(node.func) in _UNSEEN:
+        match node:
+            case ast.Call() if ast.unparse(node.func) in _UNSEEN:
                 parts += node.args
                 parts += [word.value for word in node.keywords]
+            case ast.Expr(value=ast.Call(func=called)):
+                # The statement as a whole; its arguments are parts of the call.
+                single |= {id(node)} if ast.unparse(called) in _UNSEEN else set()
+            case ast.Return(value=ast.Constant(value=False | None)):
+                single.add(id(node))
+            case ast.Assign(targets=[ast.Name(id=name)]) if name in _SIZES:
+                parts.append(node.value)
+        if isinstance(node, ast.Call):
             parts += [w.value for w in node.keywords if _is_looks(w.arg)]
-    return {id(part) for whole in parts for part in ast.walk(whole)}
+            if ast.unparse(node.func).endswith("reshape"):
+                # -1 and -2 are the length that is left; 1 is another one.
+                single |= {
+                    id(part.operand)
+                    for part in ast.walk(node)
+                    if isinstance(part, ast.UnaryOp) and ast.unparse(part) == "-1"
+                }
+    return single | {id(part) for whole in parts for part in ast.walk(whole)}
 
 
 def _is_looks(argument: str | None) -> bool:
