@@ -9,11 +9,11 @@ change is a line of `tools/mutations.csv`; a second run continues from there. It
 the share that was caught with its interval of 95 %, by folder, and each change that no
 test noticed: close it by a test of behavior, or see that it changes nothing that can be
 observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Changes
-listed there are drawn and counted, but not tried. Neither are changes that alter nothing
-by their kind: sizes of letters and lines in figures, the bar of progress, sizes of
+listed there are drawn and counted, but not tried. Neither are changes that by their
+kind alter nothing: sizes of letters and lines in figures, the bar of progress, sizes of
 caches and blocks, None in place of False, another negative number as the open length of
-`reshape`. Counts and limits of 0 or 1 are tried with `<=` in place of `<`; other limits
-of real numbers, which are met exactly by no value, with `>`.
+`reshape`. Counts and limits of 0 or 1 are tried with `<=` in place of `<`. Other limits
+of real numbers, which no value meets exactly, are tried with `>`.
 
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
 run each change of the sample to a file. A campaign with `--covering FILE` then runs

@@ -1,9 +1,10 @@
 """Eight hours of a scan in simulated time, with faults, pages open, commands beside it.
 
 The writer, the page's server and the commands are processes of their own, as in use.
-The writer is broken off by faults, and killed after some samples, and goes on. Pages come and go over
-websockets. Afterwards: nothing that was acknowledged is missing, the memory of the
-server and its open files are what they were, and the writer never waited for a reader.
+The writer is broken off by faults, and killed after some samples, and goes on. Pages
+come and go over websockets. Afterwards: nothing that was acknowledged is missing, the
+memory of the server and its open files are what they were, and the writer never waited
+for a reader.
 """
 
 from __future__ import annotations

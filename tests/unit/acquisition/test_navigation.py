@@ -460,3 +460,19 @@ def test_sentences_of_a_journal_make_a_trajectory(moving, folder):
     assert any("without a sentence" in line for line in recorded.lines)
     # The clock of this computer is not that of the sentences.
     assert any("correct mounting.clock_offset" in line for line in recorded.lines)
+
+
+def test_the_lead_is_made_of_readings_motions_and_locking(plate):
+    frequencies = ["20 MHz", "50 MHz", "80 MHz"]
+    survey = plate.with_({"instrument.modulation_frequencies": frequencies})
+    settings = Settings.model_validate({"procedure": {"dark_readings": 2}})
+    # In each of 6 channels 2 dark readings, and 15 directions with half of the 8
+    # repeats: the others follow the scan. A dwell first waits for the lock-in.
+    readings = 6 * (2 + 15 * 4)
+    dwell = 0.125 + settings.procedure.settling * 0.01
+    way = abs(settings.target.position_out - settings.target.position_in)
+    lead = lead_time(survey, settings)
+    # Out and back at 0.2 m/s; the lock-in locks within 50 ms.
+    assert lead == pytest.approx(readings * dwell + 2 * way / 0.2 + 6 * 0.05)
+    still = survey.with_({"scan.open_water": None})
+    assert lead_time(still, settings) == pytest.approx(6 * 2 * dwell + 6 * 0.05)

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from amulor.cube.phase_drift import _WALKS, PhaseDrift, _smoothed
+from amulor.cube.phase_drift import _WALKS, PhaseDrift, _filled, _smoothed
 
 NOISE = 1e-3
 
@@ -140,3 +140,9 @@ def test_the_error_of_the_reference_is_the_root_mean_square_of_its_readings() ->
     attributes = drift.attributes(np.array([40e6, 50e6]))
     expected = np.array([5.0, 10.0]) * NOISE / np.sqrt(2)
     assert_allclose(attributes["reference_phase_uncertainty_rad"], expected)
+
+
+def test_missing_readings_repeat_the_one_before_and_begin_with_0() -> None:
+    values = np.array([[np.nan, 5.0, np.nan, 7.0], [1.0, np.nan, np.nan, 2.0]])
+    filled = _filled(values, np.isnan(values))
+    assert filled.tolist() == [[0.0, 5.0, 5.0, 7.0], [1.0, 1.0, 1.0, 2.0]]

@@ -15,6 +15,7 @@ from amulor import imaging, rejection
 from amulor.cube import QualityFlag, tiles
 from amulor.errors import CubeError
 from amulor.optics import detection
+from amulor.rejection.phasor_lines import _edges
 
 FREQUENCY = np.array([20e6, 60e6])
 ROWS, COLUMNS = np.mgrid[0:14, 0:16]
@@ -269,3 +270,16 @@ def test_lines_of_different_phases_give_the_water_of_each_pixel() -> None:
     assert 0.92 < (np.abs(errors) < 1.96).mean() < 0.99
     # Four scans of four pixels and two frequencies.
     assert (np.abs(np.array(errors)[..., small]) < 1.96).mean() > 0.8
+
+
+@pytest.mark.parametrize("window", [3, 5, 7])
+def test_edges_lie_in_all_directions_of_a_square(window: int) -> None:
+    edges = _edges(window)
+    assert_allclose((edges**2).sum(axis=1), 1, rtol=1e-12)
+    # Edges of the mirrored and the turned window are edges, too, up to their sign.
+    square = edges.reshape(-1, window, window)
+    whole = np.abs(edges @ edges.T)
+    assert_allclose(np.diag(whole), 1, rtol=1e-12)
+    for turned in (square[:, ::-1], square.swapaxes(1, 2)):
+        found = np.abs(edges @ turned.reshape(len(edges), -1).T).max(axis=0)
+        assert_allclose(found, 1, rtol=1e-9)

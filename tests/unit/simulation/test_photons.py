@@ -222,3 +222,20 @@ def test_an_error_that_cannot_be_reached_is_refused(
     assert "--error" in capsys.readouterr().err
     with pytest.raises(ValueError, match="relative_error"):
         PhotonModel(relative_error=0.0)
+
+
+def test_an_axis_that_spans_little_has_no_polynomials_to_fit() -> None:
+    rng = np.random.default_rng(2)
+    points = np.stack([rng.uniform(-1, 1, 400), rng.uniform(-1e-4, 1e-4, 400)], axis=1)
+    wide = np.array([1e-3, 1e-3])
+    basis, fitted = photons.basis_of(points, smallest=wide, degree=4)
+    # Degrees 0 to 4 along the wide axis, and one more to test the fit.
+    assert (fitted, basis.shape[1]) == (5, 6)
+    np.testing.assert_allclose(basis.T @ basis / 400, np.eye(6), atol=1e-9)
+    # A span of five of the smallest lengths follows ceil(log 5 / log 3) = 2 degrees.
+    some = photons.basis_of(points[:, :1], smallest=np.array([0.4]), degree=4)[1]
+    assert some == 3
+    both = photons.basis_of(points * [1, 5e3], smallest=np.array([0.4, 0.4]), degree=4)
+    # The other axis has 2.5 of them, degree 1: five products up to a degree of 2, and
+    # four that test them.
+    assert (both[1], both[0].shape[1]) == (5, 9)

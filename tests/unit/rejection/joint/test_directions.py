@@ -53,3 +53,8 @@ def test_a_scan_along_a_line_has_one_node_across() -> None:
 def test_a_view_that_is_far_narrower_than_the_scan_is_refused(width: float) -> None:
     with pytest.raises(CubeError, match="split the scan"):
         directions_of(AZIMUTH, ELEVATION, lambda a, e: bells(width, a, e))
+
+
+def test_light_that_reaches_no_receiver_needs_the_fewest_nodes() -> None:
+    found = directions_of(AZIMUTH, ELEVATION, lambda a, e: np.zeros((len(a), 3)))
+    assert (found.azimuth.size, found.elevation.size) == (3, 3)
