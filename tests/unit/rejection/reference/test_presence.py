@@ -7,14 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.constants import speed_of_light
 
+from amulor.cube.tiles import Span
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.reference.presence import (
     DEPARTURE,
     CutColumns,
+    _cut_columns,
     _Problem,
     _problem,
 )
+from amulor.survey import Survey
 
 SAMPLES = 4
 
@@ -104,3 +108,29 @@ def test_water_that_ends_between_two_depths_is_found_there(depth: float) -> None
     turns = np.exp(2j * np.outer(wavenumber, other))
     least = min(pixels.misfit(fraction * turn[:, None])[0] for turn in turns.T)
     assert least > 20
+
+
+def test_columns_begin_with_all_of_the_water_and_end_with_none(plate: Survey) -> None:
+    frequency = np.array([20e6, 80e6])
+    span = Span(azimuth=(0.02, 0.02), elevation=(-0.01, 0.01))
+    turbid = plate.with_({"water.absorption": "1.2 1/m"})
+
+    def columns(survey: Survey, interval: tuple[float, float] | None) -> CutColumns:
+        return _cut_columns(survey, frequency, interval, span, paper=False)
+
+    found = columns(turbid, None)
+    wave = 2 * np.pi * frequency * 1.38 / speed_of_light
+    assert_allclose(found.wavenumber, wave, rtol=1e-12)
+    assert found.depth[0] == 0
+    assert_allclose(np.diff(found.depth, 2), 0, atol=1e-9)
+    # Eight depths or more for each turn of the highest frequency.
+    assert np.diff(found.depth).max() < speed_of_light / (2 * 1.38 * 80e6) / 8
+    turn = np.exp(2j * np.multiply.outer(wave, found.depth))
+    fractions = found.smooth * turn[:, :, None, None]
+    assert_allclose(fractions[:, 0], 1, rtol=1e-6)
+    assert np.abs(fractions[:, -1]).max() < 1e-2
+    near = columns(turbid, (1.0, 2.0)).depth
+    assert (near[0], near[-1]) == (1.0, 2.0)
+    tank = columns(turbid.with_({"water.column_end": "1.7 m"}), None)
+    assert tank.depth[-1] == pytest.approx(1.7)
+    assert_allclose(tank.smooth[:, -1], 0, atol=1e-6)

@@ -98,3 +98,92 @@ def test_fluctuations_along_and_across_the_water_signal_are_separated() -> None:
         result = relative_fluctuation(0 * nothing, nothing, part, freedom=1)
         assert np.all(result == 0)
     assert np.all(relative_fluctuation(shots, level, instrument, freedom=0) == 0)
+
+
+def _shots(
+    rng: np.random.Generator, places: np.ndarray, sigma: float, *, bend: float = 0.0
+) -> np.ndarray:
+    """Return 1 plus a quadratic function of the azimuth, with noise of both outputs."""
+    noise = rng.standard_normal((2, len(places)))
+    level = 1 + bend * (places[:, 0] / np.abs(places[:, 0]).max()) ** 2
+    return level + sigma * (noise[0] + 1j * noise[1])
+
+
+@pytest.mark.parametrize("repeats", [2, 6])
+def test_a_constant_fails_the_test_of_its_degree_as_often_as_stated(
+    repeats: int,
+) -> None:
+    rng = np.random.default_rng(8)
+    directions = np.repeat(_directions(5, 3, 0.2, 0.1), repeats, axis=0)
+    places = surface.places_of(directions)
+    weight = np.ones(len(directions))
+    draws = [
+        surface._choose_degree(_shots(rng, directions, 0.1), places, weight)
+        for _ in range(600)
+    ]
+    # One degree more than is needed is fitted; 5 % need one more by chance.
+    assert 600 * 0.05 - 22 < sum(degree > 1 for degree, _ in draws) < 600 * 0.05 + 22
+    assert min(degree for degree, _ in draws) == 1
+    assert all(fits for _, fits in draws)
+
+
+def test_degrees_follow_what_the_shots_can_tell() -> None:
+    rng = np.random.default_rng(9)
+    grid = _directions(5, 3, 0.2, 0.1)
+
+    def degree(directions: np.ndarray, bend: float) -> tuple[int, bool]:
+        shots = _shots(rng, directions, 0.01, bend=bend)
+        places = surface.places_of(directions)
+        return surface._choose_degree(shots, places, np.ones(len(shots)))
+
+    # A quadratic function needs 2, and gets one more.
+    assert degree(np.repeat(grid, 8, axis=0), 0.5) == (3, True)
+    # Without a repeat nothing can be tested; with one, a constant is enough.
+    assert degree(grid, 0.5) == (2, True)
+    assert degree(np.concatenate([grid, grid[:1]]), 0.0) == (1, True)
+    # One direction has one value.
+    assert degree(np.repeat(grid[:1] + 0.1, 8, axis=0), 0.0) == (0, True)
+    # Plans are judged by the same test, before there are shots.
+    level = 1 + 0.5 * (grid[:, 0] / 0.2) ** 2 + 0j
+    for repeats, expected in ((1, 0), (2, 3), (8, 3)):
+        error = np.full((1, len(grid)), 0.01)
+        assert surface.expected_degrees(level[None], error, repeats, grid) == [expected]
+    flat = np.ones((1, len(grid)), dtype=complex)
+    assert surface.expected_degrees(flat, np.full((1, 15), 0.01), 8, grid) == [1]
+
+
+def test_a_surface_states_the_scatter_of_its_coefficients() -> None:
+    rng = np.random.default_rng(10)
+    directions = np.repeat(_directions(5, 3, 0.2, 0.1), 6, axis=0)
+    places = surface.places_of(directions)
+    sigma = 0.02
+    variance = np.full(len(directions), sigma**2)
+    noise = Covariance(variance, variance, 0 * variance)
+    fits = [
+        surface.surface_of(
+            _shots(rng, directions, sigma, bend=0.5), noise, places, noise=noise
+        )
+        for _ in range(100)
+    ]
+    level = 1 + 0.5 * (directions[:, 0] / 0.2) ** 2
+    score = []
+    for fit in fits:
+        design = surface.design_of(places.where, fit.powers)
+        off = design @ fit.coefficients - level
+        for part, spread in ((off.real, fit.spreads[0]), (off.imag, fit.spreads[1])):
+            stated = np.einsum("ij,jk,ik->i", design, spread, design)
+            score.append(part[[0, 44]] / np.sqrt(stated[[0, 44]]))
+    # 400 squares of independent numbers: 1 +- 0.07.
+    assert np.mean(np.square(score)) == pytest.approx(1, abs=0.25)
+    common = [fit for fit in fits if fit.powers.sum(axis=1).max() == 3]
+    assert len(common) > 80
+    # Left out of a fit, the mean of a direction is off by its error over 1 - h.
+    design = surface.design_of(places.distinct, common[0].powers)
+    alone = 1 - np.diag(design @ np.linalg.pinv(design))
+    missed = np.mean([fit.cross_validation for fit in common])
+    assert missed == pytest.approx(np.mean(1 / alone), rel=0.2)
+    assert np.mean([fit.excess for fit in fits]) < 0.3
+    # Fluctuations beyond the noise of the instrument are small, and never negative.
+    relative = np.array([fit.relative for fit in fits])
+    assert np.all(np.linalg.eigvalsh(relative) > -1e-12)
+    assert np.abs(relative).mean() < 0.3 * sigma**2
