@@ -77,6 +77,41 @@ def test_appearance_progress_and_caches_are_not_tried(
     assert "4 -> 5" in {one.said for one in mutants}
 
 
+def test_changes_that_alter_nothing_by_their_kind_are_not_tried(
+    tool: ModuleType, source: Path
+) -> None:
+    source.write_text(
+        "_AT_ONCE = 4096\n\n\ndef part(values, flag):\n    tell('half', share)\n"
+        "    if flag:\n        return None\n    if flag:\n        return False\n"
+        "    return values.reshape(len(values), -1)\n"
+    )
+    assert {one.said for one in tool.mutants_of(source) if one.unseen} == {
+        "4096 -> 4097", "without tell('half', share)", "return None -> None",
+        "return False -> None", "1 -> 2",
+    }  # fmt: skip
+    # A length of 1 in place of the one that is left is a change, and so is True.
+    tried = {one.said for one in tool.mutants_of(source) if not one.unseen}
+    assert tried == {
+        "-1 -> 1", "False -> True",
+        "return values.reshape(len(values), -1) -> None",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("x < 1", "x <= 1"), ("x > 0.0", "x >= 0.0"), ("len(x) >= y", "len(x) > y"),
+        ("x.size <= y", "x.size < y"), ("x == y", "x != y"), ("x < 0.5", "x > 0.5"),
+        ("x >= y", "x <= y"), ("x is y", "x is not y"),
+    ],
+)  # fmt: skip
+def test_limits_of_real_numbers_are_turned_round(
+    tool: ModuleType, source: Path, old: str, new: str
+) -> None:
+    source.write_text(f"def part(x, y):\n    assert {old}\n")
+    assert f"{old} -> {new}" in {one.said for one in tool.mutants_of(source)}
+
+
 def test_near_and_fast_tests_come_first(tool: ModuleType) -> None:
     tests = {
         "tests/far.py::test_a": 0.1, "tests/near.py::test_slow": 3.0,
