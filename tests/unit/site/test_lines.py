@@ -6,19 +6,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from amulor import io
 from amulor.errors import CubeError, SurveyError
 from amulor.imaging import moving_frame, point_cloud
 from amulor.io.trajectories import read_trajectory, write_trajectory
-from amulor.platform import read_mounting
+from amulor.platform import Mounting, Trajectory, instrument_poses, read_mounting
 from amulor.platform.mounting import mounting_text
 from amulor.site import Site
 from amulor.site.blocks import averaged, block_of, pixels_of_scan
 from amulor.site.check import check
 from amulor.site.load import range_image_of
 from amulor.site.merging.cloud import merge
-from amulor.site.registration.line import by_direction, motion_of, rows_of_scan
+from amulor.site.registration.line import (
+    _without_walk,
+    by_direction,
+    motion_of,
+    rows_of_scan,
+)
 from amulor.site.registration.network import drift_effect
 from amulor.site.registration.pair import compared
 from amulor.site.registration.register import (
@@ -320,6 +326,41 @@ def test_forms_and_rest_of_a_drift_are_a_random_walk(drawn, adjusted) -> None:
         true = size**2 * (1 / 3 - share * (1 - share))
         np.testing.assert_allclose(variance, true, rtol=0, atol=0.0033 * size**2)
     assert len(walks[0]) == motion.forms[0]
+
+
+def test_velocities_lack_the_noise_of_the_drift() -> None:
+    """Waves of 5 mm and 0.5 degrees, with walks of 2.8 mm and 0.016 degrees."""
+    rng = np.random.default_rng(7)
+    vehicle = STUDY["patch_lines"].Vehicle(
+        rng, middle=(0.0, 0.0, -9.0), heading=0.3, speed=0.2, duration=8.0,
+        wave=5e-3, rocking=np.radians([0.5, 0.5, 1.0]),
+    )  # fmt: skip
+    stamps = np.arange(-1.0, 9.0, 0.05)
+    position, rotation = vehicle.at(stamps)
+    walk = rng.normal(size=(len(stamps), 3)).cumsum(axis=0) * np.sqrt(0.05)
+    track = Trajectory(
+        time=stamps,
+        position=position + 1e-3 * walk,
+        attitude=Rotation.from_matrix(rotation).as_quat(),
+        covariance=np.zeros((len(stamps), 6, 6)),
+        longest_gap=1.0,
+    )
+    time = np.linspace(0.0, 8.0, 4000)
+    poses = instrument_poses(track, Mounting(), time)
+    drift = (1e-3 * np.sqrt(8.0), 1e-4 * np.sqrt(8.0))
+    filtered = _without_walk(poses, np.arange(4000), drift).vehicle
+    step = 1e-4
+    true = (vehicle.at(time + step)[0] - vehicle.at(time - step)[0]) / (2 * step)
+    before, after = (
+        np.sqrt(((values - true) ** 2).mean())
+        for values in (poses.vehicle.velocity, filtered.velocity)
+    )
+    # The walk has velocities of 1 mm / sqrt(0.05 s) = 4.5 mm/s at the poses.
+    assert before > 3e-3
+    assert after < 2.0e-3
+    # Turn rates of 14 mrad/s are far above their noise.
+    off = filtered.turn_rate - poses.vehicle.turn_rate
+    assert np.sqrt((off**2).mean()) < 5e-4
 
 
 def test_the_rest_of_a_drift_acts_as_if_it_were_an_unknown(drawn, adjusted) -> None:

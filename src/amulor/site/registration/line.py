@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
 from scipy.spatial.transform import Rotation
 
 from amulor.cube import QualityFlag
@@ -36,6 +37,10 @@ _FEWEST, _MOST = 6, 32
 _LAST = 64
 #: Largest rest of a random walk beyond its forms, in standard uncertainties of a range.
 _REST = 1 / 3
+#: Interval of the velocities that are filtered [s], and their largest number [1].
+_INTERVAL, _MOST_INSTANTS = 0.01, 100_000
+#: Least component of a velocity, in standard deviations of the drift's velocity [1].
+_CLEAR = 3.5
 #: Empty rows between rows of both directions; more than pixels of a block.
 _BETWEEN = 8
 #: Attribute: number of each row in the scan, for rows sorted by direction [1].
@@ -219,6 +224,7 @@ def _motion(
         grown = mean.max() - mean.min()
         grown = grown if grown > 1e-6 * mean.max() else mean.max()
         drift.append(float(np.sqrt(grown)) if stated is None else 2 * stated)
+    poses = _without_walk(poses, order, drift)
     turn = np.sqrt(np.trace(covariance[3:, 3:]) / 3)
     length = np.linalg.norm(poses.position[order[-1]] - poses.position[order[0]])
     reach = float(np.nanmedian(image["slant_range"].values))
@@ -239,6 +245,32 @@ def _motion(
         bend=float(turn * length / 2),
         own=_smear(frame, image),
     )
+
+
+def _without_walk(
+    poses: InstrumentPoses, order: Numbers, drift: Sequence[float]
+) -> InstrumentPoses:
+    """Return poses whose velocities lack the velocity of the drifts.
+
+    The drift is a random walk, and its velocity is white noise. With it, the derivative
+    by the clock offset would correlate with the drift in the distances. Cosine
+    components that are not significant against this noise are set to 0.
+    """
+    time = poses.vehicle.time[order]
+    lasting = max(float(time[-1] - time[0]), 1e-9)
+    count = int(np.clip(np.ceil(lasting / _INTERVAL), 256, _MOST_INSTANTS))
+    instants = np.linspace(time[0], time[-1], count)
+    values = {}
+    for name, size in zip(("velocity", "turn_rate"), drift, strict=True):
+        given = getattr(poses.vehicle, name)
+        even = np.array([np.interp(instants, time, part) for part in given[order].T])
+        parts = dct(even, norm="ortho", axis=1)
+        noise = size * np.sqrt(count) / lasting
+        parts[np.abs(parts) < _CLEAR * noise] = 0.0
+        smooth = idct(parts, norm="ortho", axis=1)
+        filtered = [np.interp(poses.vehicle.time, instants, part) for part in smooth]
+        values[name] = np.where(np.isnan(given), np.nan, np.transpose(filtered))
+    return replace(poses, vehicle=replace(poses.vehicle, **values))
 
 
 def _forms(drift: float, noise: float) -> int:
