@@ -181,33 +181,37 @@ def pattern_tests(
     return (
         tuple(tests),
         _undetected(state, layout, tests, changes),
-        _suspected(tests, changes, len(base.gradient)),
+        _suspected(tests, changes, base.scatter),
     )
 
 
 def _suspected(
-    tests: Sequence[PatternTest], changes: Sequence[Floats], count: int
+    tests: Sequence[PatternTest], changes: Sequence[Floats], known: Floats
 ) -> Floats:
     """Return the covariance of all unknowns due to suspected errors, of any scan.
 
-    The strongest test may be a consequence of an error of another scan.
+    The strongest test may be a consequence of an error of another scan. `known` is the
+    information of start poses, stated errors and targets. They limit an error that
+    surfaces hardly determine, because it would move the poses away from them.
     """
-    spread = np.zeros((count, count))
+    spread = np.zeros(known.shape)
     for test, change in zip(tests, changes, strict=True):
         step = change * test.uncertainty / test.detectable
-        spread += mean_square(test.score) * np.outer(step, step)
+        limit = 1 / np.sqrt(max(float(step @ known @ step), 1e-300))
+        share = mean_square(test.score, min(limit, _PRIOR_SIZE))
+        spread += share * np.outer(step, step)
     return spread
 
 
-def mean_square(score: float) -> float:
+def mean_square(score: float, prior: float = _PRIOR_SIZE) -> float:
     r"""Return the mean square of an error of a scan after its test [1].
 
     Its unit is the variance of the test. Before the test, the error exists with the
-    probability p, and has the variance :math:`t^2`. With :math:`k = t^2 / (1 + t^2)`, a
-    score z changes the odds of the error by :math:`\sqrt{1 - k} \exp(k z^2 / 2)`. The
-    mean square is :math:`k^2 z^2 + k` times the new probability.
+    probability p, and has the standard deviation t, which is `prior`. With :math:`k =
+    t^2 / (1 + t^2)`, a score z changes the odds of the error by :math:`\sqrt{1 - k}
+    \exp(k z^2 / 2)`. The mean square is :math:`k^2 z^2 + k` times the new probability.
     """
-    shrunk = _PRIOR_SIZE**2 / (1 + _PRIOR_SIZE**2)
+    shrunk = prior**2 / (1 + prior**2)
     odds = logit(_PRIOR) + np.log1p(-shrunk) / 2 + shrunk * score**2 / 2
     return float(expit(odds) * (shrunk**2 * score**2 + shrunk))
 
