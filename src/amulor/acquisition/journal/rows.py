@@ -307,15 +307,31 @@ class Rows:
         columns, check = self._row_check(entries)
         unread: set[int] = set()
         before = 0
+
+        def name_missing(end: int) -> None:
+            # Rows are never deleted, so their numbers have no gaps.
+            for absent in range(before + 1, min(end, before + SEARCHED)):
+                if absent not in unread:
+                    self._damaged(f"row {absent}: not there")
+
+        # Another program may add rows from here on.
+        count = self._count()
         for number, *_ in self._judged(
             entries, columns, check, "number > ?", 0, unread=unread
         ):
-            missing = [*range(before + 1, min(number, before + SEARCHED))]
-            for absent in missing:
-                # Rows are never deleted, so their numbers have no gaps.
-                if absent not in unread:
-                    self._damaged(f"row {absent}: not there")
+            if number <= before:
+                self._damaged(f"row {number}: out of order, after row {before}")
+                continue
+            name_missing(number)
             before = number
+        name_missing(count + 1)
+
+    def _count(self) -> int:
+        """Return the number of rows by the index of their keys; 0 if it is damaged."""
+        with contextlib.suppress(sqlite3.DatabaseError):
+            for (count,) in self._connection.execute("SELECT COUNT(*) FROM samples"):
+                return int(count)
+        return 0
 
     def _row_check(self, entries: Mapping[str, str]) -> tuple[list[str], RowCheck]:
         text = entries.get("survey")

@@ -235,6 +235,50 @@ def test_rows_of_an_unreadable_page_are_named_once_each(whole, folder) -> None:
     assert 1 < len(rows) < count
 
 
+def last_leaf(place: Path) -> tuple[bytearray, int, int]:
+    """Return the file, the start of the last page of samples, and their number."""
+    connection = sqlite3.connect(place / FILE_NAME)
+    ((root,),) = connection.execute(
+        "SELECT rootpage FROM sqlite_master WHERE name = 'samples'"
+    )
+    ((size,),) = connection.execute("PRAGMA page_size")
+    ((count,),) = connection.execute("SELECT COUNT(*) FROM samples")
+    connection.close()
+    raw = bytearray((place / FILE_NAME).read_bytes())
+    # An interior page ends with the number of its last page.
+    (last,) = struct.unpack_from(">I", raw, (root - 1) * size + 8)
+    return raw, (last - 1) * size, count
+
+
+def test_rows_lost_at_the_end_are_named(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    raw, begin, count = last_leaf(place)
+    (cells,) = struct.unpack_from(">H", raw, begin + 3)
+    struct.pack_into(">H", raw, begin + 3, cells - 2)
+    (place / FILE_NAME).write_bytes(raw)
+    with Journal.read(place) as journal:
+        told = journal.damage()
+    assert told == [f"row {number}: not there" for number in (count - 1, count)]
+
+
+def test_a_row_out_of_order_is_named(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    raw, begin, count = last_leaf(place)
+    (cells,) = struct.unpack_from(">H", raw, begin + 3)
+    (cell,) = struct.unpack_from(">H", raw, begin + 8 + 2 * (cells - 1))
+    # A cell begins with its length (two bytes here) and the number of the row.
+    assert raw[begin + cell] & 0x80
+    assert raw[begin + cell + 2] == count
+    raw[begin + cell + 2] = count - 5
+    (place / FILE_NAME).write_bytes(raw)
+    with Journal.read(place) as journal:
+        told = journal.damage()
+    assert told == [
+        f"row {count - 5}: out of order, after row {count - 1}",
+        f"row {count}: not there",
+    ]
+
+
 # -- many of them ----------------------------------------------------------------------
 
 
