@@ -188,7 +188,7 @@ def _uses(file: Path, name: str) -> list[tuple[Path, ast.stmt, list[ast.AST]]]:
 def is_compiled(function: ast.AST) -> bool:
     """Return whether a function is compiled by its decorators."""
     decorators = getattr(function, "decorator_list", [])
-    words = [ast.unparse(decorator) for decorator in decorators]
+    words = [ast.unparse(decorator).partition("(")[0] for decorator in decorators]
     return any("jit" in word or word in _COMPILERS for word in words)
 
 

@@ -928,7 +928,9 @@ def _record(
     earlier[mutant.key] = _row(mutant, result, outcome, seed)
     _write(words.results, list(earlier.values()))
     place = f"{mutant.key[0]}:{mutant.line}: {mutant.said}"
-    print(f"{result} {outcome.seconds:.0f} s {place[:150]}", flush=True)
+    # The tests of changes run with another standard output.
+    line = f"{result} {outcome.seconds:.0f} s {place[:150]}"
+    print(line, file=sys.__stdout__, flush=True)
 
 
 def _switches(mutant: Mutant, tests: dict[str, dict[str, float]]) -> bool:

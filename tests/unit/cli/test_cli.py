@@ -14,10 +14,12 @@ import pytest
 import xarray as xr
 
 from amulor import io
-from amulor.cli import COMMANDS, EXAMPLES, TOPICS, main
+from amulor.cli import COMMANDS, EXAMPLES, TOPICS, main, survey
 from amulor.cli._output import print_table, progress_bar
 from amulor.cube import tiles
 from amulor.studies.ladder import survey_text
+from amulor.survey import Survey
+from amulor.survey.properties import water_properties
 
 RECORDINGS = ["import", "recordings", "none.csv"]
 PLATE = ["calibrate", "plate", "a.nc", "--distance", "1 m", "-o", "x.toml"]
@@ -783,3 +785,14 @@ def test_a_simulation_states_the_shares_of_its_cube(
         f"{hit:.1%} of the beams meet a target, {overload:.1%} of the samples overload"
         in capsys.readouterr().out
     )
+
+
+def test_a_check_without_a_target_states_the_error_of_a_metre(
+    plate: Survey, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = plate.with_({"water.group_index": None})
+    water = water_properties(bare)
+    for reach, expected in ((None, "2 mm at 1 m "), ((0.5, 4.0), "7.8 mm at 4 m ")):
+        survey._warn_of_state(bare, water, reach)
+        # 2.9 mm of 1.5 m, as above.
+        assert f"range uncertain by {expected}" in capsys.readouterr().out

@@ -6,6 +6,7 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import exact_scenes as scenes
 import ezdxf
@@ -17,7 +18,7 @@ from project_files import project_text
 from amulor import imaging
 from amulor.cli import main
 from amulor.errors import FormatError
-from amulor.handover import Order, hand_over
+from amulor.handover import Order, drawings, hand_over
 from amulor.imaging import products
 from amulor.imaging.products import Contour
 from amulor.io.drawings import FIELDS, Drawing, Line
@@ -532,3 +533,13 @@ def test_a_label_reads_from_left_to_right(direction, rotation) -> None:
     turned = (text.get_rotation() + 180) % 360 - 180
     assert -90.001 < turned < 90.001
     assert text.get_position() == pytest.approx(tuple(points[4]))
+
+
+@pytest.mark.parametrize(("stated", "interval"), [(None, 0.01), (0.05, 0.05)])
+def test_contours_are_10_mm_apart_unless_stated(monkeypatch, stated, interval) -> None:
+    monkeypatch.setattr(products, "contours", lambda _, *, interval: (interval,))
+    monkeypatch.setattr(drawings, "contour_product", lambda *given: given)
+    order = SimpleNamespace(contours=stated)
+    assert drawings.contours("raster", order, ("", [])) == (
+        "raster", (interval,), interval, order, ("", [])
+    )  # fmt: skip

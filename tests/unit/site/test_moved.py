@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from amulor.site.change.distances import Region
 from amulor.site.change.moved import motion_of
 from amulor.site.registration.bodies import held_directions, of_size_one
 from amulor.site.registration.pair import Pair
+from amulor.site.registration.pose import ScanPose
 
 RADIUS, LENGTH = 0.1, 0.4
 MIDDLE = np.array([1.0, 2.0, 3.0])
@@ -256,3 +258,38 @@ def test_a_hollow_and_a_heap_side_by_side_are_one_body() -> None:
     middle, reach = moved.around([places[0], places[2]])
     np.testing.assert_allclose(middle, [0.15 / 4, 0, 0])
     assert reach == pytest.approx(0.15 * 3 / 4 + 0.1)
+
+
+def test_an_object_stands_on_ground_that_is_rough_and_has_holes() -> None:
+    rng = np.random.default_rng(6)
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 51), np.linspace(-0.5, 0.5, 51))
+    away = np.hypot(x, y)
+    # A slope with 3 mm of noise, a block of 10 cm, another beside it, and a hole.
+    ground = 0.1 * x + 3e-3 * rng.standard_normal(x.shape)
+    height = np.where(away < 0.1, 0.1, 0.0) + np.where(
+        np.abs(x - 0.28) < 0.03, 0.2, 0.0
+    )
+    height -= np.where(np.abs(y + 0.28) < 0.02, 0.3, 0.0)
+    points = np.stack([x, y, ground + height - 2.0], axis=-1)
+    surface = SimpleNamespace(
+        distance=np.ones(x.shape), origin=points, direction=np.zeros((51, 51, 3)),
+        usable=np.ones(x.shape, dtype=bool), motion=None,
+    )  # fmt: skip
+    place = SimpleNamespace(
+        poses={"a": ScanPose(rotation=np.eye(3), position=np.zeros(3))}, errors={}
+    )
+    found = _object(surface, place, np.array([0.0, 0.0, -2.0]), 0.2)
+    assert found is not None
+    # All of the block, and no more than some pixels of the rough ground.
+    assert found[away < 0.1].all()
+    assert not found[away > 0.23].any()
+    assert found[(away > 0.1) & (away < 0.2)].mean() < 0.01
+    surface.usable = away > 1.0
+    assert _object(surface, place, np.array([0.0, 0.0, -2.0]), 0.2) is None
+
+
+def _object(surface, place, centre, reach):
+    # A scan without shared errors has no range corrections.
+    shapes = np.zeros((0, *surface.usable.shape))
+    surface.shared = SimpleNamespace(keys=(), shapes=shapes)
+    return moved._object(surface, place, "a", centre, reach)

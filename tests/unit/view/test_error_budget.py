@@ -180,3 +180,18 @@ def test_words_of_a_table_stand_at_the_left(tmp_path: Path) -> None:
     assert "<th>mm</th>" in text
     assert '<td class="warning">not known</td>' in text
     assert "<td>0.3</td>" in text
+
+
+def test_the_table_of_a_budget_has_its_numbers(image: xr.Dataset) -> None:
+    _, _, table, _ = error_budgets({"plate": image})
+    budget = imaging.error_budget(image)
+    assert isinstance(table, Table)
+    rows = {row[0]: row for row in table.rows}
+    assert len(rows) == len(budget.lines) + len(budget.unknown) + 2
+    assert {len(row) for row in table.rows} == {len(table.header)}
+    for line in budget.lines:
+        row = rows[line.term.name.replace("_", " ")]
+        assert row[4] == f"{1e3 * line.uncertainty:.3g}"
+        assert row[5] == f"{100 * line.share:.1f}%"
+    assert rows["combined"][4] == f"{1e3 * budget.combined:.3g}"
+    assert rows["expanded, k = 2"][4] == f"{2e3 * budget.combined:.3g}"

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.testing import assert_allclose
 
 from amulor.acquisition import Calibration, calibrated, from_terminated
+from amulor.acquisition.cube import demodulator
 from amulor.cube.error import instrument_phase, leakage_volt
 from amulor.errors import CubeError
 from amulor.simulation import simulate
@@ -177,3 +178,15 @@ def test_wrong_recordings_are_refused(blank: xr.Dataset) -> None:
         from_terminated(around[0], [*around[1:], silent])
     with pytest.raises(CubeError, match="--shutter-closed"):
         from_terminated(silent.assign_attrs(shutter="open"))
+
+
+def test_the_error_of_dark_readings_adds_to_that_of_the_offset(
+    blank: xr.Dataset,
+) -> None:
+    cube = outputs(blank, 0j, 3)
+    mean, error = demodulator._outputs(cube, cube)
+    dark = {"dark_in_phase": 2e-4, "dark_quadrature": -1e-4, "dark_uncertainty": 5e-6}
+    shifted, larger = demodulator._outputs(cube.assign_attrs(**dark), cube)
+    assert_allclose(shifted - mean, 2e-4 - 1e-4j, rtol=1e-9)
+    # Two channels of equal errors: the mean has half of their sum of squares.
+    assert_allclose(larger**2 - error**2, (5e-6) ** 2 / 2, rtol=1e-9)

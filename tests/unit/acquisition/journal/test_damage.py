@@ -418,3 +418,18 @@ def test_a_locked_journal_names_the_program_and_not_the_disk(
         other.execute("ROLLBACK")
     other.close()
     assert "space" not in str(raised.value)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 12])
+def test_a_scan_on_a_damaged_journal_names_three_places(
+    whole, folder, monkeypatch, count
+) -> None:
+    place = copied(whole, folder / "scan")
+    damage = tuple(f"row {number}" for number in range(count))
+    with Journal.read(place) as journal:
+        monkeypatch.setattr(Journal, "damage", lambda _: damage)
+        with pytest.raises(FormatError) as raised:
+            journal._refuse_damaged()
+    named = "; ".join(damage[:3])
+    more = f", and {count - 3} more" if count > 3 else ""
+    assert f"is damaged ({named}{more}) and cannot be gone on with" in str(raised.value)

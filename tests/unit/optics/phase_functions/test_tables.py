@@ -286,3 +286,20 @@ def test_what_is_no_cumulative_or_station_is_refused():
         from_cumulative(np.append(0, NODE[1:]), cumulative=np.linspace(0.1, 1, 7))
     with pytest.raises(ValueError, match=r"station must be .* got 'Black Sea'"):
         petzold("Black Sea")
+
+
+def test_near_0_a_table_is_a_lobe_and_beyond_a_power_law():
+    node = np.array([0.0, 0.01, 0.1, 1.0, np.pi])
+    value = np.array([900.0, 100.0, 5.0, 0.1, 0.05])
+    table = tabulated(node, value=value)
+    level = float(table(0.01)) / 100.0
+    assert_allclose(table(node[1:]), level * value[1:], rtol=1e-9)
+    # ln of the lobe is linear in the square of the angle: a quarter of the way at half.
+    half = 900.0 * (100.0 / 900.0) ** 0.25
+    assert_allclose(table(0.005), level * half, rtol=1e-9)
+    assert_allclose(table(1e-9), level * 900.0, rtol=1e-9)
+    # Between the others it is a power of the angle: the geometric mean of both.
+    for low in (1, 2):
+        middle = np.sqrt(node[low] * node[low + 1])
+        expected = level * np.sqrt(value[low] * value[low + 1])
+        assert_allclose(table(middle), expected, rtol=1e-9)
