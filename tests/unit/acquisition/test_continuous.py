@@ -241,6 +241,12 @@ def test_a_spoiled_row_is_taken_again_or_flagged(edges, folder, fault, flag) -> 
     assert len(flagged) == 24 if flag == SampleFlag.REPEATED else len(flagged) < 5
 
 
+def test_a_reference_that_does_not_come_back_ends_the_scan(edges, folder) -> None:
+    settings = made(simulation={"faults": ("unlock@30x99999",)})
+    with pytest.raises(InstrumentError, match="lost its reference in 4 samples"):
+        acquisition.acquire(edges, folder, settings=settings, scene=scene_light)
+
+
 def test_an_interlock_that_opens_ends_the_row_and_nothing_of_it_is_kept(
     edges, folder
 ) -> None:
