@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,6 +17,8 @@ from amulor.errors import CubeError
 from amulor.rejection.background import find_background
 from amulor.rejection.observation import Observation
 
+#: The module; the package has a method of this name.
+background = importlib.import_module("amulor.rejection.background")
 INTERVAL = (0.5, 2.5)
 PLATE = {
     "kind": "plate",
@@ -108,3 +113,24 @@ def test_scans_without_a_background_are_refused(plate: xr.Dataset) -> None:
         noise[name].values[:] = rng.standard_normal(noise[name].shape)
     with pytest.raises(CubeError, match="no smooth water signal explains"):
         rejection.background(noise, interval=INTERVAL)
+
+
+def test_echoes_are_searched_over_the_span_that_the_frequencies_tell_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    attrs = {"emitter_position": [0.0, 0, 0], "receiver_position": [0.3, 0.4, 0.0]}
+    scan = SimpleNamespace(cube={"geometry": SimpleNamespace(attrs=attrs)})
+    # Wavenumbers 3, 5 and 9 per meter: the smallest step is 2, from 3 to 5.
+    wave = np.array([9.0, 3.0, 5.0])
+    monkeypatch.setattr(background, "_wavenumber", lambda _: wave)
+    whole = background._paths(scan, None)
+    assert whole[0] == 0
+    assert whole[-1] == pytest.approx(np.pi, abs=background._STEP / 9)
+    np.testing.assert_allclose(np.diff(whole), background._STEP / 9)
+    # A distance there and back, and half a meter between emitter and receiver.
+    part = background._paths(scan, (1.0, 2.0))
+    assert part[0] == 2
+    assert 4.5 - 1.01 * background._STEP / 9 < part[-1] < 4.5
+    # One frequency repeats after its own wavelength.
+    monkeypatch.setattr(background, "_wavenumber", lambda _: np.array([4.0]))
+    assert background._paths(scan, None)[-1] == pytest.approx(np.pi / 2, abs=0.2)

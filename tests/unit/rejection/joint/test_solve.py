@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
 from amulor.rejection.joint._kernels.normal import common
-from amulor.rejection.joint.priors import inverse_of
+from amulor.rejection.joint.priors import _replaced, inverse_of
 
 
 def test_the_common_covariance_is_that_of_dense_algebra() -> None:
@@ -63,3 +64,10 @@ def test_a_parameter_that_nothing_depends_on_is_not_known() -> None:
     # Far more than any other, and finite.
     assert 1e9 < inverse[3, 3] < np.inf
     assert_allclose(inverse[3, :3], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("place", range(5))
+def test_one_width_is_replaced_and_the_others_stay(place: int) -> None:
+    widths = 1.0, 2.0, 3.0, 4.0, 5.0
+    expected = [9.0 if k == place else width for k, width in enumerate(widths)]
+    assert [*_replaced(widths, place, 9.0)] == expected
