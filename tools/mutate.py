@@ -12,8 +12,9 @@ observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Ch
 listed there are drawn and counted, but not tried. Neither are changes that by their
 kind alter nothing: sizes of letters and lines in figures, the bar of progress, sizes of
 caches and blocks, None in place of False, another negative number as the open length of
-`reshape`. Counts and limits of 0 or 1 are tried with `<=` in place of `<`. Other limits
-of real numbers, which no value meets exactly, are tried with `>`.
+`reshape`, and whether `zip` compares lengths, which differ by mistakes of programs
+only. Counts and limits of 0 or 1 are tried with `<=` in place of `<`. Other limits of
+real numbers, which no value meets exactly, are tried with `>`.
 
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
 run each change of the sample to a file. A campaign with `--covering FILE` then runs
@@ -258,6 +259,8 @@ def _unseen(tree: ast.Module) -> set[int]:
                 parts.append(node.value)
         if isinstance(node, ast.Call):
             parts += [w.value for w in node.keywords if _is_looks(w.arg)]
+            if ast.unparse(node.func) == "zip":
+                parts += [word.value for word in node.keywords]
             if ast.unparse(node.func).endswith("reshape"):
                 # -1 and -2 are the length that is left; 1 is another one.
                 single |= {

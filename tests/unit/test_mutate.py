@@ -83,11 +83,12 @@ def test_changes_that_alter_nothing_by_their_kind_are_not_tried(
     source.write_text(
         "_AT_ONCE = 4096\n\n\ndef part(values, flag):\n    tell('half', share)\n"
         "    if flag:\n        return None\n    if flag:\n        return False\n"
+        "    pairs = zip(values, flag, strict=True)\n"
         "    return values.reshape(len(values), -1)\n"
     )
     assert {one.said for one in tool.mutants_of(source) if one.unseen} == {
         "4096 -> 4097", "without tell('half', share)", "return None -> None",
-        "return False -> None", "1 -> 2",
+        "return False -> None", "1 -> 2", "True -> False",
     }  # fmt: skip
     # A length of 1 in place of the one that is left is a change, and so is True.
     tried = {one.said for one in tool.mutants_of(source) if not one.unseen}

@@ -197,3 +197,40 @@ def test_an_option_that_a_method_does_not_use_is_refused(
     assert "frequency does not use --column-uncertainty" in message
     assert "it uses --frequency, --nearest, --farthest" in message
     assert not (tmp_path / "target.nc").exists()
+
+
+#: What a method needs (open-water references, a pair of channels), its rank in `auto`,
+#: and whether `auto` tries it without references, too; None is optional, or no rank.
+DECLARED = {
+    "auto": (None, False, None, False),
+    "background": (False, False, None, False),
+    "co-polarized": (None, False, None, False),
+    "combined": (True, True, 4, False),
+    "cross-polarized": (False, False, 0, False),
+    "frequency": (True, False, 2, False),
+    "joint": (None, False, 5, True),
+    "none": (None, False, None, False),
+    "open-water": (True, False, 1, False),
+    "phasor-lines": (None, False, None, False),
+    "polarization": (None, True, 3, False),
+    "polarization-difference": (None, True, None, False),
+    "range-profile": (None, False, None, False),
+    "smooth-surface": (True, False, None, False),
+    "stokes": (None, False, None, False),
+}
+
+
+def test_methods_declare_what_they_need_and_their_rank() -> None:
+    found = {
+        name: (
+            method.needs.open_water, method.needs.channel_pair, method.simplicity,
+            method.distrusts_open_water,
+        )
+        for name, method in ((name, rejection.load(name)) for name in DECLARED)
+    }  # fmt: skip
+    assert found == DECLARED
+    one = [name for name in DECLARED if rejection.load(name).keeps_one_frequency]
+    assert one == ["frequency"]
+    # A profile depends on the samples of its pixel and on the references alone.
+    local = [name for name in DECLARED if rejection.load(name).fitter is None]
+    assert local == ["range-profile"]

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from amulor.site.change.distances import change
 from amulor.site.description import StartPose
 from amulor.site.merging.cloud import merge
 from amulor.site.registration.register import register
+from amulor.site.registration.rough import _best_started
 from amulor.site.registration.starts import _gate, start_findings
 
 
@@ -247,3 +249,16 @@ def test_points_move_by_three_standard_errors_of_a_start_pose_at_most() -> None:
     angle = np.arange(200) * 5e-4
     cloud = 2 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     assert _gate(start, cloud) == pytest.approx(0.15, rel=1e-9)
+
+
+def test_the_scan_with_the_surest_start_is_placed_first() -> None:
+    starts = {
+        name: SimpleNamespace(covariance=np.diag(np.full(6, variance)))
+        for name, variance in (("b", 2e-4), ("c", 1e-4), ("elsewhere", 1e-9))
+    }
+    names = ["a", "b", "c"]
+    assert _best_started(SimpleNamespace(start=starts), {"a": 0}, names) == "c"
+    # Without a start pose it is a guessed one, and without any the first scan.
+    nothing = SimpleNamespace(start={})
+    assert _best_started(nothing, {"b": 0}, names) == "b"
+    assert _best_started(nothing, {}, names) == "a"
