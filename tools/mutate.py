@@ -559,7 +559,7 @@ class Worker:
         if running and "" not in running:
             stages = [ordered(running, near)]
             if parsed(mutant.file).is_definition(mutant.line):
-                stages.append(list(_LISTINGS))
+                stages.insert(0, list(_LISTINGS))
         else:
             stages = [first, [file for file in near[0] if file not in first], *near[1:]]
         if ">>>" in place.read_text("utf-8"):

@@ -146,3 +146,16 @@ def test_missing_readings_repeat_the_one_before_and_begin_with_0() -> None:
     values = np.array([[np.nan, 5.0, np.nan, 7.0], [1.0, np.nan, np.nan, 2.0]])
     filled = _filled(values, np.isnan(values))
     assert filled.tolist() == [[0.0, 5.0, 5.0, 7.0], [1.0, 1.0, 1.0, 2.0]]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 60.0])
+def test_the_unit_of_time_does_not_matter(scale: float) -> None:
+    rng = np.random.default_rng(7)
+    time = np.cumsum(rng.uniform(0.5, 2.0, 30))[None]
+    phase = 0.01 * rng.standard_normal((1, 30)).cumsum(axis=1)
+    noise = np.full((1, 30), 1e-4)
+    first, second = _smoothed(phase, noise, time), _smoothed(phase, noise, scale * time)
+    assert_allclose(second, first, rtol=1e-9)
+    # Channels without times have equal intervals.
+    even = _smoothed(phase, noise, np.arange(30.0)[None])
+    assert_allclose(_smoothed(phase, noise, np.zeros((1, 30))), even, rtol=1e-9)

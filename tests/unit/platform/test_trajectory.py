@@ -1,5 +1,7 @@
 """Trajectories: interpolation against closed forms, gaps, errors and their coverage."""
 
+import dataclasses
+
 import moving_pass
 import numpy as np
 import pytest
@@ -250,3 +252,53 @@ def test_noise_of_the_poses_makes_long_intervals_uncertain():
     sigma = np.sqrt(poses.covariance[:, 0, 0] - 0.005**2)
     # The interval is three times as long; departures near it are larger, too.
     assert sigma[1] >= 9 * sigma[0] > 0
+
+
+def test_the_instrument_is_carried_by_its_lever_arm_and_boresight():
+    time = np.arange(0.0, 4.0, 0.05)
+    track = Trajectory.of_angles(
+        time=time,
+        position=np.stack([0.2 * time, 0.1 * time, -5 + 0 * time], axis=1),
+        heading=0.3 * time,
+    )
+    mounting = Mounting(lever_arm=(0.3, 0.1, -0.2), pitch=-np.pi / 2)
+    at = np.array([1.0, 2.0])
+    poses = instrument_poses(track, mounting, at)
+    vehicle = track.at(at)
+    # Vehicle axes are right, down, forward: heading 0 is north, clockwise to the east.
+    for k, angle in enumerate(0.3 * at):
+        forward = np.array([np.sin(angle), np.cos(angle), 0.0])
+        right = np.array([np.cos(angle), -np.sin(angle), 0.0])
+        arm = 0.3 * right + 0.1 * np.array([0, 0, -1.0]) - 0.2 * forward
+        np.testing.assert_allclose(
+            poses.position[k] - vehicle.position[k], arm, atol=1e-6
+        )
+        # Pitched down by a right angle, the instrument looks down.
+        looks = poses.turn(np.tile([0.0, 0.0, 1.0], (2, 1)))[k]
+        np.testing.assert_allclose(looks, [0, 0, -1], atol=1e-6)
+    ahead = poses.place(np.tile([0.0, 0.0, 2.0], (2, 1)))
+    np.testing.assert_allclose(ahead - poses.position, [[0, 0, -2]] * 2, atol=1e-6)
+    later, before = (
+        instrument_poses(track, mounting, at + step).position for step in (1e-3, -1e-3)
+    )
+    np.testing.assert_allclose(poses.velocity, (later - before) / 2e-3, atol=1e-3)
+
+
+def test_a_cubic_course_at_uneven_times_has_no_departures():
+    rng = np.random.default_rng(3)
+    time = np.cumsum(rng.uniform(0.05, 0.2, 60))
+    smooth = np.stack([time**3, 2 - time**2, 0.3 * time], axis=1) / 30
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (60, 1))
+    track = Trajectory(
+        time=time, position=smooth, attitude=still,
+        covariance=np.tile(1e-6 * np.eye(6), (60, 1, 1)), longest_gap=1.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(track._departures(0, 60), 0, atol=1e-9)
+    # One pose that is off stands out by itself, and a quarter less beside it.
+    off = smooth.copy()
+    off[30, 1] += 0.01
+    moved = dataclasses.replace(track, position=off)._departures(0, 60)
+    row = int(np.argmax(np.abs(moved[:, 1])))
+    np.testing.assert_allclose(np.abs(moved[row, 1]), 0.01, rtol=0.3)
+    np.testing.assert_allclose(moved[:, [0, 2]], 0, atol=1e-9)
+    assert np.count_nonzero(np.abs(moved[:, 1]) > 1e-9) == 5

@@ -15,6 +15,7 @@ from site_scenes import scanning, shapes
 from amulor.errors import FormatError
 from amulor.imaging import flag_mixed, flag_outliers
 from amulor.site import Site
+from amulor.site.change import distances
 from amulor.site.change.distances import (
     Change,
     _corrected,
@@ -459,3 +460,23 @@ def test_a_comparison_has_a_spacing_and_a_radius(
     with pytest.raises(StopIteration):
         change(site, cast(Any, None), surfaces, cloud)
     assert taken == pytest.approx(expected)
+
+
+def test_points_near_a_region_of_four_points_are_not_unchanged(monkeypatch) -> None:
+    count = 40
+    position = np.zeros((count, 3))
+    position[:, 0] = 0.01 * np.arange(count)
+    still = SimpleNamespace(
+        value=np.where(np.arange(count) == 39, np.nan, 0.0), position=position,
+        significant=np.zeros(count, dtype=bool), radius=0.02,
+    )  # fmt: skip
+    groups = [np.arange(4), np.arange(20, 23)]
+    monkeypatch.setattr(distances, "_groups", lambda _: groups)
+    # Within two radii of the first region: its points and four more. Three points are
+    # no region, and a point without a value is not known to be unchanged.
+    expected = (np.arange(count) > 7) & (np.arange(count) < 39)
+    found = distances._unchanged(still)
+    assert (
+        found[np.arange(count) != 7].tolist()
+        == expected[np.arange(count) != 7].tolist()
+    )

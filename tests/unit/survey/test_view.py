@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from amulor.errors import SurveyError
 from amulor.survey import Survey
-from amulor.survey.view import view
+from amulor.survey.view import angle_of_view, medium_of, seen_from_water, view
 
 
 def _look(plate_text: str, azimuth: float) -> None:
@@ -59,3 +59,27 @@ def test_the_beam_is_as_far_from_the_axis_as_two_lines_in_space(
     found = np.hypot(seen.baseline - seen.tilt * depth, seen.cross_tilt * depth)
     # The cross tilt is the root of a difference, so zero comes out as 1e-8.
     assert found == pytest.approx(expected, abs=1e-7)
+
+
+def test_a_receiver_behind_glass_sees_a_narrower_cone_from_farther(
+    plate: Survey,
+) -> None:
+    bare = seen_from_water(plate, medium_of(plate))
+    assert bare == (0.0, 0.08)
+    window = {"distance": 0.2, "thickness": 0.02}
+    behind = plate.with_({"instrument.window": window})
+    medium = medium_of(behind)
+    assert medium.window_thickness == 0.02
+    # Snell for small angles: air of 20 cm and glass of 2 cm are n times as deep.
+    glass = behind.instrument.window.refractive_index
+    expected = 1.34 * (0.2 + 0.02 / glass), 0.08 / 1.34
+    assert seen_from_water(behind, medium) == pytest.approx(expected)
+    # Only a receiver that turns with its beam has a field of view about the beam.
+    assert angle_of_view(behind) == np.inf
+    both = behind.with_({"scan.moves": "both"})
+    assert angle_of_view(both) == pytest.approx(0.08 / 1.34)
+    back = plate.with_(
+        {"instrument.receiver.position.2": -0.05, "instrument.window": window}
+    )
+    moved = seen_from_water(back, medium_of(back))
+    assert moved[0] == pytest.approx(1.34 * (0.25 + 0.02 / glass))

@@ -14,10 +14,12 @@ from amulor.optics.phase_functions.models import (
     fournier_forand,
     henyey_greenstein_function,
 )
+from amulor.optics.polarization import mueller
 from amulor.optics.water import case_1, seawater, types
 from amulor.studies.ladder import survey_text
 from amulor.survey import Survey, Water, water_properties
-from amulor.survey.mueller import matrix
+from amulor.survey import mueller as surfaces
+from amulor.survey.mueller import SURFACES, keeping, matrix
 from amulor.survey.properties import (
     by_coefficients,
     group_index_uncertainty,
@@ -468,3 +470,17 @@ def test_water_without_scattering_stays_so_by_its_coefficients(with_water) -> No
     assert isinstance(water, Water)
     assert (water.absorption, water.scattering) == (0.2, 0.0)
     assert water.forward_fraction == 1.0
+
+
+def test_surfaces_straight_backwards_are_those_of_their_sources() -> None:
+    # A mirror keeps the light: U and V turn round, as all that it reflects does.
+    mirror = np.diag(mueller.ideal_backscatter())
+    assert SURFACES["smooth-metal"] == tuple(mirror[1:] / mirror[0])
+    assert SURFACES["ideal-depolarizer"] == (0.0, 0.0, 0.0)
+    # Ricci (2010) prints 0.61; the fourth is within -0.61 and -0.22.
+    painted = SURFACES["painted-metal"]
+    assert painted[:2] == (0.61, -0.61)
+    assert -0.61 < painted[2] < -0.22
+    # Randomly oriented particles, and the sea by the polarization at 90 degrees.
+    assert keeping(0.8) == pytest.approx((0.8, -0.8, -0.6))
+    assert pytest.approx((0.7952, -0.7952, -0.5904), abs=1e-4) == surfaces.SEA
