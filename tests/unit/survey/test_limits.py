@@ -134,3 +134,38 @@ def test_a_cube_goes_without_the_mesh_that_it_was_made_of(plate_text: str) -> No
     with pytest.raises(SurveyError, match=r"amphora\.stl: there is no such file") as no:
         simulate(found, rng=1)
     assert "\n" not in str(no.value)
+
+
+#: Smallest and largest number of each field, None for no limit; as on paper, in SI.
+STATED = {
+    "water.absorption": (None, 1e3),
+    "water.scattering": (None, 1e3),
+    "water.cdom_absorption": (None, 1e3),
+    "water.column_end": (None, 1e3),
+    "targets.*.position.*": (None, 1e3),
+    "targets.*.width": (None, 1e3),
+    "instrument.emitter.position.*": (None, 20.0),
+    "instrument.receiver.position.*": (None, 20.0),
+    "instrument.receiver.radius": (1e-5, 1.0),
+    "instrument.window.distance": (None, 20.0),
+    "instrument.window.thickness": (None, 1.0),
+    "instrument.power": (1e-9, 100.0),
+    "instrument.modulation_frequencies.*": (1e3, 1e10),
+    "instrument.detector.dark_rate": (None, 1e15),
+    "instrument.detector.saturation": (1e-6, 1e4),
+    "instrument.lock_in.time_constant": (1e-8, 1e3),
+    "scan.dwell": (1e-7, 3600.0),
+}
+
+
+@pytest.mark.parametrize("path", STATED)
+def test_a_limit_holds_at_its_number_and_not_beyond(path: str) -> None:
+    least, most = STATED[path]
+    limit = LIMITS[path]
+    assert limit.broken(most) == limit.broken(-most) == ""
+    assert "it must be at most" in limit.broken(1.001 * most)
+    if least is None:
+        assert limit.broken(1e-300) == ""
+    else:
+        assert limit.broken(least) == ""
+        assert "it must be at least" in limit.broken(0.999 * least)
