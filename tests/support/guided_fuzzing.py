@@ -1,8 +1,9 @@
 """Feeds a reader with files that a coverage-guided fuzzer makes, for some seconds.
 
-`python guided_fuzzing.py READER SECONDS FOLDER`: the first byte of an input chooses the
-real file, the others are its content, or changes of it. Ends with an error after an
-exception, a case of 20 s, or above 2 GB.
+`python guided_fuzzing.py READER SECONDS FOLDER CASES`: the first byte of an input
+chooses the real file, the others are its content, or changes of it. Goes on with the
+inputs that FOLDER has. Ends with an error after an exception, a case of 20 s, or above
+2 GB.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ COMPILED = [
 ]
 
 
-def main(name: str, seconds: str, place: str) -> None:
+def main(name: str, seconds: str, place: str, cases: str) -> None:
     """Feed one reader."""
     import atheris
 
@@ -54,7 +55,7 @@ def main(name: str, seconds: str, place: str) -> None:
     # the bytes choose changes of variables and attributes instead.
     by_change = name == "cube"
     corpus = folder / "corpus"
-    corpus.mkdir()
+    corpus.mkdir(exist_ok=True)
     for number, file in enumerate(files):
         content = b"" if by_change else reader.files[file]
         (corpus / str(number)).write_bytes(bytes([number]) + content)
@@ -78,8 +79,8 @@ def main(name: str, seconds: str, place: str) -> None:
             return bytes(atheris.Mutate(data, longest))
         return (data[:1] + changed(data[1:], seed))[:longest]
 
-    options = [f"-max_total_time={seconds}", "-timeout=20", "-rss_limit_mb=2048",
-               "-max_len=1000000", "-print_final_stats=1",
+    options = [f"-max_total_time={seconds}", f"-runs={cases}", "-timeout=20",
+               "-rss_limit_mb=2048", "-max_len=1000000", "-print_final_stats=1",
                f"-artifact_prefix={folder}/"]  # fmt: skip
     atheris.Setup([sys.argv[0], *options, str(corpus)], test, custom_mutator=mutated)
     atheris.Fuzz()
