@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import exact_shapes as shapes
 import numpy as np
 import pytest
@@ -120,3 +122,26 @@ def test_few_pixels_are_refused(scan) -> None:
     region[10:14, 8:14] = True
     with pytest.raises(CubeError, match="at least 60 usable pixels"):
         measure.revolution(cone, region)
+
+
+@pytest.mark.parametrize(
+    ("residual", "misfit", "error", "behind", "reason"),
+    [
+        (1.9e-3, 9.0, 1e-3, 0.049, ""),
+        (1.9e-3, 9.0, 1e-3, 0.051, "not round: 5% of the pixels lie behind the axis"),
+        (2.1e-3, 1.6, 1e-3, 0.0, "not round: pixels lie 2.1 mm off (rms)"),
+        # Noise explains as much.
+        (2.1e-3, 1.4, 1e-3, 0.0, ""),
+        (0.0, 1.0, 24e-3, 0.0, ""),
+        (0.0, 1.0, 26e-3, 0.0, "radius not constrained by these pixels; take a larger"),
+    ],
+)
+def test_a_profile_is_doubted_for_its_worst_fault(
+    residual, misfit, error, behind, reason
+) -> None:
+    # A radius of 10 cm: 2 % are 2 mm, and a quarter of it is 25 mm.
+    fit = SimpleNamespace(residual=residual, misfit=misfit)
+    radius, errors = np.array([0.02, 0.1, 0.05]), np.array([1.0, error, 1.0])
+    found = round_objects._doubt(fit, radius, errors, behind)
+    assert found.startswith(reason)
+    assert bool(found) == bool(reason)
