@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from amulor.errors import SurveyError
 from amulor.survey import Survey
+from amulor.survey.course import planned_spacing, planned_track
 from amulor.survey.view import angle_of_view, medium_of, seen_from_water, view
 
 
@@ -83,3 +84,33 @@ def test_a_receiver_behind_glass_sees_a_narrower_cone_from_farther(
     )
     moved = seen_from_water(back, medium_of(back))
     assert moved[0] == pytest.approx(1.34 * (0.25 + 0.02 / glass))
+
+
+def test_points_of_a_line_are_as_far_apart_as_its_beams(plate: Survey) -> None:
+    span = plate.scan.azimuth_span
+    moving = plate.with_(
+        {
+            "scan.elevation_span": 0.0,
+            "scan.columns": 5,
+            "scan.rows": 10,
+            "pose": {"position": [0.0, 0.0, -8.0], "pitch": -np.pi / 2},
+            "platform": {
+                "course": {
+                    "kind": "line",
+                    "start": [0.0, 0.0, -8.0],
+                    "heading": 0.0,
+                    "speed": 0.2,
+                },
+            },
+        }
+    )
+    track, duration = planned_track(moving)
+    assert track == pytest.approx(0.2 * duration, rel=1e-3)
+    rows, columns = planned_spacing(moving, 2.0)
+    assert rows == pytest.approx(track / 10)
+    # Five beams span four steps; a single one spans none, and counts as one.
+    assert columns == pytest.approx(2.0 * span / 4)
+    alone = moving.with_({"scan.columns": 1})
+    assert planned_spacing(alone, 2.0)[1] == pytest.approx(2.0 * span)
+    two = moving.with_({"scan.columns": 2})
+    assert planned_spacing(two, 2.0)[1] == pytest.approx(2.0 * span)
