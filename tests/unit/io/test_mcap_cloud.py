@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
@@ -167,3 +168,18 @@ def test_tiles_give_the_same_file(image, tmp_path, monkeypatch, capsys):
     points = whole[1]
     product = points["covariance_xx"] * points["covariance_zz"]
     np.testing.assert_allclose(points["covariance_xz"] ** 2, product, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("start", "seconds"),
+    [("1970-01-02T00:00:01Z", 86401.0), ("1970-01-02T00:00:01.5", 86401.5),
+     ("1970-01-02T01:00:00+01:00", 86400.0), ("1969-01-01T00:00:00Z", 0.0), ("", 0.0)],
+)  # fmt: skip
+def test_a_message_has_the_time_of_its_points_or_of_the_scan(start, seconds):
+    cloud = xr.Dataset(attrs={"time_coverage_start": start})
+    plain = np.zeros(2, dtype=[("x", "f4")])
+    assert mcap_cloud._stamp(cloud, plain) == round(seconds * 1e9)
+    timed = np.array([(12.25,), (13.0,)], dtype=[("time", "f8")])
+    assert mcap_cloud._stamp(cloud, timed) == 12_250_000_000
+    timed["time"] = -1.0
+    assert mcap_cloud._stamp(cloud, timed) == 0
