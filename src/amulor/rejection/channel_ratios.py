@@ -377,14 +377,19 @@ def _normal(
 
 
 def target_ratio_of_neighbors(
-    first: Observation, second: Observation, *, fluctuation: float = 0.0
+    first: Observation,
+    second: Observation,
+    *,
+    fluctuation: float = 0.0,
+    empty: NDArray[np.bool_] | None = None,
 ) -> TargetRatio | None:
     """Return the target ratio by second differences along rows.
 
     Neighbors have nearly the same water signal, so that differences show the target
-    alone. Where the distance changes, the water in front of the target does, too. None
-    if the reflectance does not vary enough, compared with the noise and the relative
-    fluctuation of the water signal.
+    alone. Where the distance changes, the water in front of the target does, too. It
+    also changes beside pixels without a target, `empty`. None if the reflectance does
+    not vary enough, compared with the noise and the relative fluctuation of the water
+    signal.
     """
     if first.signal.shape[3] < 3:
         return None
@@ -400,6 +405,8 @@ def target_ratio_of_neighbors(
         for part in (first, second)
     ]
     usable = first.usable[:, 0] & second.usable[:, 0]
+    if empty is not None:
+        usable = usable & ~empty
     three = (usable[..., 2:] & usable[..., 1:-1] & usable[..., :-2]).all(axis=0)
     # A difference in phase with the echo is one of reflectance.
     highest = int(first.frequency.argmax())

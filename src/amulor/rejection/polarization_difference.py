@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,7 +14,7 @@ from scipy.constants import speed_of_light
 from scipy.special import gammainccinv
 
 from amulor import cube as cubes
-from amulor.cube import tiles
+from amulor.cube import QualityFlag, tiles
 from amulor.cube.schema import WaterResidualCause
 from amulor.errors import CubeError
 from amulor.rejection import quality
@@ -50,6 +51,9 @@ _ECHO_LATER = 0.02e-9
 _CONTRADICTION = 4.0
 #: Patches along rows and along columns.
 _PATCHES = 4
+#: Largest number of further fits without the pixels in which earlier ones find no
+#: target.
+_FITS = 4
 #: Fewest pixels for an estimate.
 _FEWEST = 12
 #: Smallest difference of the ratios of target and water [1].
@@ -62,15 +66,19 @@ def _target_ratio(
     stated: float | None,
     uncertainty: float,
     fluctuation: float,
+    empty: NDArray[np.bool_] | None,
 ) -> TargetRatio:
     """Return the stated ratio of the targets with its test, or that of neighbors."""
-    estimate = target_ratio_of_neighbors(first, second, fluctuation=fluctuation)
+    estimate = target_ratio_of_neighbors(
+        first, second, fluctuation=fluctuation, empty=empty
+    )
     if stated is None:
         if estimate is None:
             raise CubeError(
-                "neighboring pixels of one distance do not differ in reflectance, so "
-                "the depolarization ratio of the target is not known; state "
-                "target_ratio and target_ratio_uncertainty, measured on a sample of it"
+                "neighboring target pixels of one distance do not differ in "
+                "reflectance, so the depolarization ratio of the target is not known; "
+                "state target_ratio and target_ratio_uncertainty, measured on a sample "
+                "of it"
             )
         return estimate
     # The crossed echo is later than the parallel one by a part of the delay of water.
@@ -198,6 +206,28 @@ def _shared(
 
 
 def _difference(
+    cube: xr.Dataset, *, fit: RatioFit | None = None, **options: Any
+) -> tuple[xr.Dataset, RatioFit]:
+    """Subtract the channels of a scan or, with `fit`, some of its rows."""
+    if fit is not None:
+        return _separated(cube, fit=fit, **options)
+    result, fit = _separated(cube, **options)
+    empty = np.zeros((cube.sizes["row"], cube.sizes["column"]), dtype=bool)
+    for _ in range(_FITS):
+        flag = result["quality_flag"].values[:, 0]
+        # Neighbors of which one is water do not show the ratio of the target.
+        found = ((flag & QualityFlag.NO_TARGET) != 0).all(axis=0) & ~empty
+        if not found.any():
+            break
+        empty |= found
+        result, fit = _separated(cube, empty=empty, **options)
+    if empty.any():
+        # An echo of positive amplitude is fitted to their noise, too.
+        return _separated(cube, empty=empty, left_out=empty, **options)
+    return result, fit
+
+
+def _separated(
     cube: xr.Dataset,
     *,
     interval: tuple[float, float] | None = None,
@@ -209,8 +239,13 @@ def _difference(
     ratio_spread: float = 0.05,
     model_error: float = 0.01,
     fit: RatioFit | None = None,
+    empty: NDArray[np.bool_] | None = None,
+    left_out: NDArray[np.bool_] | None = None,
 ) -> tuple[xr.Dataset, RatioFit]:
-    """Subtract the channels of a scan or, with `fit`, some of its rows."""
+    """Subtract the channels of a scan.
+
+    Pixels `empty` have no target, and pixels `left_out` do not show the water ratio.
+    """
     for name, ratio in (("target_ratio", target_ratio), ("water_ratio", water_ratio)):
         if ratio is not None and not 0 <= ratio <= 1:
             raise ValueError(f"{name} must lie between 0 and 1, got {ratio:g}")
@@ -236,7 +271,9 @@ def _difference(
     pair = pair_of_samples(first, second)
     usable = (first.usable & second.usable)[:, 0].all(axis=0).ravel()
     if fit is None:
-        chosen = np.flatnonzero(usable)
+        chosen = np.flatnonzero(
+            usable if left_out is None else usable & ~left_out.ravel()
+        )
         if chosen.size < _FEWEST:
             raise CubeError(
                 f"{chosen.size} pixels have numbers in {co} and {cross} at all "
@@ -264,6 +301,7 @@ def _difference(
                 target_ratio,
                 target_ratio_uncertainty,
                 prior.fluctuation,
+                empty,
             ),
             _patches(chosen, first.signal.shape[2:]),
         )
@@ -365,9 +403,18 @@ def _misfits(
     return misfits
 
 
+def _unsuited(cube: xr.Dataset, interval: tuple[float, float] | None) -> str:
+    """Return why shots make the method needless; empty without shots."""
+    if cube.amulor.open_water is None:
+        return ""
+    return "not needed: the open-water shots show the water signal"
+
+
 @method(
     "polarization-difference",
     needs=Needs(channel_pair=True),
+    simplicity=4,
+    unsuited=_unsuited,
     fitter=partial(tiles.fit_on_sample, _difference, needs_span=False),
 )
 def polarization_difference(
@@ -398,7 +445,8 @@ def polarization_difference(
         `ratio_spread`. Without shots the scan alone determines it.
     target_ratio, target_ratio_uncertainty : float, optional
         The same of the targets, as far as it is known: 1 for paint that depolarizes all
-        light [1]. By default it is estimated from neighbors of different reflectance.
+        light [1]. By default it is estimated from neighbors of different reflectance,
+        of which none is open water.
     water_fluctuation : float, optional
         Relative change of the water signal from sample to sample, which differs in the
         two channels if they are measured one after the other [1]. By default that of

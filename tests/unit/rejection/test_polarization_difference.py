@@ -15,6 +15,7 @@ from amulor import imaging, rejection
 from amulor.cube import QualityFlag, tiles
 from amulor.cube.schema import WaterResidualCause
 from amulor.errors import CubeError
+from amulor.studies.benchmark import scenes, table
 
 Make = Callable[..., xr.Dataset]
 FREQUENCY = [10e6, 35e6, 80e6, 146e6]
@@ -336,3 +337,20 @@ def test_intervals_contain_the_truth_in_many_scans(
     inside = float(np.mean(np.abs(found) < 1.96))
     print(f"{water} {distance} m: {inside:.3f}")
     assert least < inside < least + 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("water", ["harbour-object-3-lengths", "coastal-object"])
+def test_intervals_hold_where_neighbors_are_open_water(water: str) -> None:
+    # An object with spots, and one without, of which nothing shows the ratio.
+    scene = next(scene for scene in scenes.read() if scene.name == water)
+    spots = scene.model_copy(update={"texture": True, "seed": 202})
+    row = table.row_of(spots, "polarization-difference", spots.case())
+    assert row.trusted > 0.9
+    assert row.phantoms == 0
+    # 60 pixels that share errors of the ratios.
+    assert row.inside_95 > 0.95
+    assert row.worst < 3
+    plain = table.row_of(scene, "polarization-difference", scene.case())
+    assert plain.trusted == 0
+    assert "neighboring target pixels of one distance do not differ" in plain.note
