@@ -13,6 +13,7 @@ from amulor.survey.properties import phase_uncertainty
 
 __all__ = [
     "JOINT_OUTLIERS",
+    "SHAPE_KNOWN",
     "WATER_NOT_REMOVED",
     "error_unknown",
     "flags_of_pixels",
@@ -40,6 +41,9 @@ _HALF = 0.5
 #: Joint estimation has excluded its outliers itself, so that any fraction below all is
 #: accepted [1].
 JOINT_OUTLIERS = 1 - 1e-9
+#: Frequencies from which on the samples show the shape of the water signal. With fewer
+#: ones, errors of a joint estimation contain the late light of water of any shape.
+SHAPE_KNOWN = 4
 
 
 def flags_of_pixels(

@@ -483,6 +483,9 @@ LEVELS = {
                 "common_covariance": _optional(
                     _SAMPLE, "V2", "covariance of the errors that all pixels share"
                 ),
+                "smoothing_gain": _optional(
+                    _PIXEL, "1", "weight of the neighbors in the range of a pixel"
+                ),
                 "quality_flag": _needed(_SAMPLE, "1", "reason why a pixel is doubtful"),
                 "water_residual_cause": _optional(_SAMPLE, "1", _CAUSE),
                 **SAMPLE_TESTS,

@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from amulor.cube import QualityFlag, error_unknown
-from amulor.cube.error import by_frequency, instrument_phase, leakage_volt
+from amulor.cube.error import (
+    SHAPE_KNOWN,
+    by_frequency,
+    instrument_phase,
+    leakage_volt,
+)
 from amulor.cube.schema import RANGE_PREFIX, TERMS, Term
 from amulor.imaging.corners import Patches, corner_error
 from amulor.imaging.instrument_tests import InstrumentTest, instrument_tests
@@ -26,9 +31,6 @@ from amulor.survey.calibration import Calibration
 from amulor.survey.properties import group_index_uncertainty
 
 Floats = NDArray[np.float64]
-
-#: Frequencies from which on the samples show the shape of the water signal.
-_SHAPE_KNOWN = 4
 
 
 def completed(
@@ -150,7 +152,7 @@ def _without_late_light(observation: Observation, ranges: Ranges) -> Ranges:
     )
     if sizes is None:
         return ranges
-    if len(observation.frequency) < _SHAPE_KNOWN or ranges.common is None:
+    if len(observation.frequency) < SHAPE_KNOWN or ranges.common is None:
         return ranges
     part, spread = sizes
     depth = observation.geometry.depth(ranges.slant_range)

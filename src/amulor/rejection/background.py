@@ -111,6 +111,7 @@ def _subtract(
 @method(
     "background",
     needs=Needs(open_water=False),
+    simplicity=2,
     fitter=partial(tiles.fit_on_sample, _subtract),
 )
 def background(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import xarray as xr
@@ -197,6 +198,8 @@ class _Trial:
     """Median range uncertainty without errors common to all pixels [m]."""
     repeat: float = math.nan
     """Interval of paths after which the phases of its frequencies repeat [m]."""
+    target: xr.Dataset | None = None
+    """Target signal of a scan of at most `tiles.SAMPLE` pixels."""
 
 
 def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
@@ -238,8 +241,16 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
     ranges of another method differ by more than four times both errors, the comparison
     states the difference.
     """
+    return _compared(cube, interval)[0]
+
+
+def _compared(
+    cube: xr.Dataset, interval: Interval
+) -> tuple[Comparison, xr.Dataset | None]:
+    """Compare all methods; return also the target signal of the recommended one."""
     cube = cubes.checked(cube, "samples")
-    candidates, broken = compared_methods()
+    methods, broken = compared_methods()
+    candidates = [candidate for candidate in methods if candidate.refine is None]
     trials = [_Trial(row=_not_run(name, str(error))) for name, error in broken.items()]
     for number, candidate in enumerate(candidates):
         with part(number / len(candidates), (number + 1) / len(candidates)):
@@ -262,7 +273,7 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
         touched = [
             candidate.name
             for candidate in candidates
-            if candidate.needs.open_water or candidate.needs.channel_pair
+            if candidate.needs.open_water is not False
         ]
         rows = [
             replace(row, caution=Caution.INSTRUMENT, trusted=0.0, note=contradiction)
@@ -270,11 +281,10 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             else row
             for row in rows
         ]
+    trials = [replace(t, row=r) for t, r in zip(trials, rows, strict=True)]
     best, steadier = _best(rows), None
     if best is not None:
-        steadier = _steadier(
-            [replace(t, row=r) for t, r in zip(trials, rows, strict=True)], best, cube
-        )
+        steadier = _steadier(trials, best, cube)
     if best is None and contradiction:
         raise CubeError(f"no method can be trusted: {contradiction}")
     if best is None and any(row.caution is Caution.LONE_PIXELS for row in rows):
@@ -298,8 +308,23 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             f"({_length(first.error)}) within {_length(steadier.difference)}, and have "
             "less noise"
         )
+    remarks = {candidate.name: candidate.remark for candidate in methods}
+    remark = remarks.get(rows[best].method, "")
+    for candidate in methods:
+        if candidate.refine is None or not np.isfinite(rows[best].error):
+            continue
+        refined = _refined(candidate, trials[best], cube, interval)
+        trials.append(refined)
+        rows.append(refined.row)
+        if _steadier([trials[best], refined], 0, cube) is not None:
+            before = _length(trials[best].own_noise)
+            best = len(rows) - 1
+            remark = (
+                f"{candidate.remark} (noise of a pixel {_length(refined.own_noise)} "
+                f"instead of {before})"
+            )
     reason = _reason(rows, best, has_shots=cube.amulor.open_water is not None)
-    reason += agreement
+    reason += agreement + (f"; {remark}" if remark else "")
     other, disagreement = _disagreement(trials, best, cube)
     if other is not None:
         reason += (
@@ -309,13 +334,14 @@ def compare(cube: xr.Dataset, *, interval: Interval = None) -> Comparison:
             "counts as an error"
         )
     rows[best] = replace(rows[best], recommended=True, note=reason)
-    return Comparison(
+    comparison = Comparison(
         rows=tuple(rows),
         method=rows[best].method,
         polarization=rows[best].polarization,
         reason=reason,
         disagreement=disagreement,
     )
+    return comparison, trials[best].target
 
 
 @method("auto", fitter=lambda source, **options: _fit_auto(source, **options))
@@ -365,13 +391,15 @@ def auto(
     >>> target.amulor.polarizations, target.attrs["rejection_reason"]
     (['VH'], 'no shots')
     """
-    compared = 0.0 if comparison is not None else 0.8
+    target, compared = None, 0.0
     if comparison is None:
+        compared = 0.8
         with part(0.0, compared):
-            comparison = compare(cube, interval=interval)
-    tell(f"taking the water out by {comparison.method}", compared)
-    with part(compared, 1.0):
-        target = load(comparison.method)(cube, interval=interval)
+            comparison, target = _compared(cube, interval)
+    if target is None:
+        tell(f"taking the water out by {comparison.method}", compared)
+        with part(compared, 1.0):
+            target = load(comparison.method)(cube, interval=interval)
     return _of_comparison(target, comparison)
 
 
@@ -406,14 +434,34 @@ def _rows(method: Method, cube: xr.Dataset, interval: Interval) -> list[_Trial]:
     if method.needs.open_water is False and cube.amulor.open_water is not None:
         note = "not needed: there are open-water shots, so no water stays in"
         return [_Trial(row=_not_run(method.name, note))]
+    if method.unsuited is not None and (note := method.unsuited(cube, interval)):
+        return [_Trial(row=_not_run(method.name, note))]
     try:
         target = method(cube, interval=interval)
     except (AmulorError, ValueError) as error:
         return [_Trial(row=_not_run(method.name, str(error)))]
-    return [
+    trials = [
         _row(method, target.sel(polarization=[name]), interval)
         for name in target.amulor.polarizations
     ]
+    if cube["azimuth"].size > tiles.SAMPLE:
+        return trials
+    return [replace(trial, target=target) for trial in trials]
+
+
+def _refined(
+    method: Method, first: _Trial, cube: xr.Dataset, interval: Interval
+) -> _Trial:
+    """Evaluate a method that improves the target signal of the best one."""
+    base = first.row.method
+    if method.unsuited is not None and (note := method.unsuited(cube, interval)):
+        return _Trial(row=_not_run(method.name, note))
+    target = first.target
+    if target is None:
+        target = load(base)(cube, interval=interval)
+    target = cast("Callable[..., xr.Dataset]", method.refine)(target)
+    channel = target.sel(polarization=[first.row.polarization])
+    return replace(_row(method.of(base), channel, interval), target=target)
 
 
 def _refusal(cube: xr.Dataset, rows: list[Row]) -> str:
@@ -477,18 +525,18 @@ def _row(method: Method, target: xr.Dataset, interval: Interval) -> _Trial:
         noises, biases = errors.noise, errors.bias
         in_corners = errors.corner_light
         agree[usable], path[usable] = errors.agree, errors.path
-        settled = ~np.isnan(noises)
         flag = flag.copy()
         flag[usable] |= np.where(errors.mixed, np.int16(QualityFlag.MIXED), 0)
         flag[usable] |= np.where(errors.in_corner, np.int16(QualityFlag.CORNER), 0)
         water_is_in = bool((flag[usable] & QualityFlag.NO_OPEN_WATER).any())
         # A few pixels with unknown bias have a flag, and are counted there.
         clear = flag[usable] == 0
-        counted = biases[clear] if clear.any() else biases
-        bias = float(np.sqrt(np.mean(counted**2)))
-        if settled.any():
-            noise = float(np.median(noises[settled]))
-            own_noise = float(np.median(errors.own_noise[settled]))
+        counted = clear if clear.any() else np.ones(clear.shape, dtype=bool)
+        bias = float(np.sqrt(np.mean(biases[counted] ** 2)))
+        counted &= ~np.isnan(noises)
+        if counted.any():
+            noise = float(np.median(noises[counted]))
+            own_noise = float(np.median(errors.own_noise[counted]))
         if water_is_in or not np.isfinite(bias):
             bias = float("inf")
             caution = Caution.BIAS_UNKNOWN

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 from scipy.special import chdtri
 
-from amulor.cube.error import instrument_phase, may_contain
+from amulor.cube.error import SHAPE_KNOWN, instrument_phase, may_contain
 from amulor.optics import ambiguity, detection, ranging
 from amulor.optics._geometry import Geometry
 from amulor.optics._mixed_beam import mixed_beams
@@ -31,7 +31,7 @@ class Errors:
     noise: Floats
     """Standard uncertainty of the slant range, with light of corners [m]."""
     own_noise: Floats
-    """Part of it that is not common to all pixels [m]."""
+    """Part of it that is not common to all pixels, after smoothing [m]."""
     bias: Floats
     """Estimated bias of the slant range [m]."""
     agree: NDArray[np.bool_]
@@ -58,6 +58,9 @@ def errors_of(
         errors = _errors_of_joint(target, usable)
     else:
         errors = _errors_of_samples(target, usable, excluded)
+    if "smoothing_gain" in target:
+        rest = np.sqrt(1 - target["smoothing_gain"].values[usable])
+        errors = replace(errors, own_noise=rest * errors.own_noise)
     corners = _corner_error(target, usable, errors, interval)
     if not np.any(corners):
         return errors
@@ -109,10 +112,18 @@ def _errors_of_joint(target: xr.Dataset, usable: NDArray[np.bool_]) -> Errors:
     settled = np.isfinite(uncertainty)
     # Unknown instrument errors are not included in any other method's error.
     instrument = target.attrs["joint_instrument_uncertainty_m"]
+    kept = np.zeros(settled.shape)
+    if target.sizes["modulation_frequency"] < SHAPE_KNOWN:
+        # They contain late light, which the range image keeps here.
+        part, spread = (
+            target.attrs[f"joint_late_echo_{name}"]
+            for name in ("uncertainty", "spread_rad2_per_m")
+        )
+        kept = part * spread / 4 * target["joint_slant_range"].values[usable] ** 2
     common = target["joint_slant_range_common_uncertainty"].values[usable]
     none = np.zeros(settled.shape, dtype=bool)
     return Errors(
-        noise=np.sqrt(np.maximum(uncertainty**2 - instrument**2, 0.0)),
+        noise=np.sqrt(np.maximum(uncertainty**2 - instrument**2, 0.0) + kept**2),
         own_noise=np.sqrt(np.maximum(uncertainty**2 - common**2, 0.0)),
         bias=np.zeros(settled.shape),
         agree=settled,

@@ -72,6 +72,14 @@ class Method:
     distrusts_open_water: bool = False
     """Whether `auto` repeats the method without the reference measurements if few
     pixels are trusted."""
+    unsuited: Callable[[xr.Dataset, tuple[float, float] | None], str] | None = None
+    """Function of samples and interval that returns the reason why a comparison leaves
+    the method out, empty if it takes part; None for a method that always does."""
+    refine: Callable[[xr.Dataset], xr.Dataset] | None = None
+    """Function that improves the target signal of another method, the option `base`;
+    a comparison tries it on the best method."""
+    remark: str = ""
+    """Property of the result that a comparison states if it recommends the method."""
     fitter: Callable[..., tiles.OfRows] | None = None
     """Fit of the method to a source of rows, called with the options; None for a method
     whose result at a pixel depends on the samples of its row and on the reference
@@ -161,6 +169,27 @@ class Method:
             distrusts_open_water=False,
         )
 
+    def of(self, base: str) -> Method:
+        """Return a copy of a method with `refine` that starts from another method.
+
+        Parameters
+        ----------
+        base : str
+            Name of the other method.
+
+        Returns
+        -------
+        Method
+            Method whose name ends in "of" and the name of the other one.
+        """
+        return replace(
+            self,
+            name=f"{self.name}{_OF}{base}",
+            function=functools.partial(self.function, base=base),
+            fitter=functools.partial(cast("Any", self.fitter), base=base),
+            needs=load(base).needs,
+        )
+
     def unknown(self, options: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the options that are not None and not supported by the method.
 
@@ -197,6 +226,7 @@ class Method:
 
 
 _WITHOUT = " without shots"
+_OF = " of "
 
 
 def _bare(cube: xr.Dataset) -> xr.Dataset:
@@ -214,7 +244,7 @@ def method(name: str, **declared: Any) -> Callable[[_Function], _Function]:
         `amulor.rejection`.
     **declared
         Fields of `Method`: `needs`, `simplicity`, `keeps_one_frequency`,
-        `distrusts_open_water`, `fitter`.
+        `distrusts_open_water`, `unsuited`, `refine`, `remark`, `fitter`.
 
     Returns
     -------
@@ -298,7 +328,8 @@ def load(name: str) -> Method:
     ----------
     name : str
         One of `names`. With " without shots" appended, the method ignores the
-        open-water reference measurements.
+        open-water reference measurements. "smooth-surface of joint" is the method
+        `smooth-surface` with the option `base` "joint".
 
     Returns
     -------
@@ -316,6 +347,9 @@ def load(name: str) -> Method:
     >>> rejection.load("open-water").options
     ('interval', 'column_uncertainty', 'put_back')
     """
+    refining, of, base = name.partition(_OF)
+    if of and (declared := load(refining)).refine is not None:
+        return declared.of(base)
     plain = name.removesuffix(_WITHOUT)
     entries = metadata.entry_points(group=_plugins.REJECTION, name=plain)
     if not entries:
@@ -397,6 +431,12 @@ def compared_methods() -> tuple[list[Method], dict[str, AmulorError]]:
             compared.append(_declared(entries[name]))
         except CubeError as error:
             broken[name] = error
-    compared = [candidate for candidate in compared if candidate.simplicity is not None]
-    compared.sort(key=lambda candidate: (candidate.simplicity, candidate.name))
-    return compared, broken
+    ranked = [
+        candidate
+        for candidate in compared
+        if candidate.refine is not None or candidate.simplicity is not None
+    ]
+    # Those that refine the best one are the last.
+    ranked.sort(key=lambda candidate: (candidate.refine is not None, candidate.name))
+    ranked.sort(key=lambda candidate: candidate.simplicity or 0)
+    return ranked, broken

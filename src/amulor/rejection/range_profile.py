@@ -36,6 +36,8 @@ _SECOND = 0.1
 #: turbid water looks like a surface closer behind the first [1].
 _APART = 0.75
 
+#: Resolutions in the interval of a comparison, at least [1].
+_CELLS = 10
 #: Distances at which the late light is computed, over the interval.
 _DEPTHS = 9
 
@@ -57,7 +59,31 @@ class _Beam:
     """Whether the samples depart from the model by more than its error."""
 
 
-@method("range-profile")
+def _unsuited(cube: xr.Dataset, interval: tuple[float, float] | None) -> str:
+    """Return why the frequencies resolve no surfaces; empty if they do."""
+    frequency = cube["modulation_frequency"].values
+    if np.unique(frequency).size < 2:
+        return "one modulation frequency has no range profile"
+    index = float(cube["geometry"].attrs["group_index"])
+    width = profiles.resolution(modulation_frequency=frequency, group_index=index)
+    nearest, farthest = interval or (
+        0.0,
+        profiles.unambiguous_span(modulation_frequency=frequency, group_index=index),
+    )
+    if farthest - nearest >= _CELLS * width:
+        return ""
+    return (
+        f"a bandwidth of {np.ptp(frequency) / 1e6:.3g} MHz resolves {width:.2g} m; a "
+        f"profile needs a tenth of the interval, {(farthest - nearest) / _CELLS:.2g} m"
+    )
+
+
+@method(
+    "range-profile",
+    simplicity=7,
+    unsuited=_unsuited,
+    remark="of several surfaces in a beam, the range is that of the strongest",
+)
 def range_profile(
     cube: xr.Dataset,
     *,

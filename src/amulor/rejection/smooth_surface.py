@@ -1,10 +1,11 @@
-"""Smooth-surface method: open water is subtracted, and neighbors of a surface agree."""
+"""Smooth-surface method: water is subtracted, and neighbors of a surface agree."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.cube import QualityFlag, tiles
+from amulor.cube.schema import LEVELS
 from amulor.rejection.build import common_variables, signal_variables
 from amulor.rejection.methods import Needs, load, method
 from amulor.rejection.observation import Observation
@@ -36,13 +38,17 @@ _STEP = 2.75
 _DOUBT = 0.5
 #: Flags of samples that give no range.
 _LEFT_OUT = QualityFlag.NO_TARGET | QualityFlag.OUTLIER | QualityFlag.SATURATED
+#: Phase of a range of a joint estimation, which never wraps [rad/m].
+_PHASE = 1e-3
 #: Terms of a plane.
 _TERMS = 3
+#: Attributes of the weights.
+_GAIN = {
+    "long_name": LEVELS["target_signal"].variables["smoothing_gain"].long_name,
+    "units": "1",
+}
 #: Smallest divisor.
 _TINY = 1e-300
-
-#: Method that subtracts the water before.
-Base = Literal["open-water", "combined"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,14 +69,24 @@ class _Neighbor:
     """Shift in standard errors, with the noise of both [1]."""
 
 
-def change_of_phase(
+@dataclass(frozen=True, kw_only=True)
+class Smoothing:
+    """Effect of the planes through the neighbors."""
+
+    phase: Floats
+    """Changes of the phases, shape (frequency, channel, row, column) [rad]."""
+    gain: Floats
+    """Weight of the plane in the range of each pixel, over (row, column) [1]."""
+
+
+def smoothing(
     signal: Complex,
     variance: Floats,
     *,
     modulation_frequency: Floats,
     window: int,
-) -> Floats:
-    """Change of the phases of targets by the planes through their neighbors [rad].
+) -> Smoothing:
+    """Change of the phases of targets by the planes through their neighbors.
 
     Parameters
     ----------
@@ -85,8 +101,8 @@ def change_of_phase(
 
     Returns
     -------
-    ndarray, shape (frequency, channel, row, column)
-        Changes of the phases, zero where there are too few neighbors.
+    Smoothing
+        Changes of the phases and weights, zero where there are too few neighbors.
     """
     shape = signal.shape[2:]
     wave = np.repeat(modulation_frequency, signal.shape[1])[:, None, None]
@@ -110,7 +126,8 @@ def change_of_phase(
         change += weight * np.where(
             np.isnan(neighbor.turn), wave * neighbor.shift, neighbor.turn
         )
-    return np.where(known, gain * change, 0.0).reshape(signal.shape)
+    phase = np.where(known, gain * change, 0.0).reshape(signal.shape)
+    return Smoothing(phase=phase, gain=gain)
 
 
 def _neighbors(
@@ -220,6 +237,14 @@ def _plane(neighbors: list[_Neighbor]) -> _Plane:
 
 
 def _with_prior(target: xr.Dataset, window: int) -> xr.Dataset:
+    """Return a target signal with ranges that follow the surfaces of neighbors."""
+    joint = "joint_slant_range" in target
+    of = _with_prior_of_ranges if joint else _with_prior_of_phases
+    step = f"smooth surface in windows of {window} x {window}"
+    return cubes.note(of(target, window), step)
+
+
+def _with_prior_of_phases(target: xr.Dataset, window: int) -> xr.Dataset:
     """Return a target signal with phases that follow the surfaces of neighbors."""
     scan = Observation(cube=target)
     signal, errors, common = scan.signal, scan.covariance, scan.common_covariance
@@ -230,16 +255,41 @@ def _with_prior(target: xr.Dataset, window: int) -> xr.Dataset:
     unit = np.divide(signal, size, out=np.ones_like(signal), where=usable)
     across = independent.turned(unit.conj()).quadrature
     variance = np.divide(across, size**2, out=np.full(size.shape, np.inf), where=usable)
-    turn = np.exp(
-        1j
-        * change_of_phase(
-            signal, variance, modulation_frequency=scan.frequency, window=window
-        )
+    smooth = smoothing(
+        signal, variance, modulation_frequency=scan.frequency, window=window
     )
+    turn = np.exp(1j * smooth.phase)
     values = signal_variables(signal * turn, errors.turned(turn))
     values |= common_variables(None if common is None else common.turned(turn))
     return target.assign(
         {name: target[name].copy(data=value) for name, value in values.items()}
+        | {"smoothing_gain": (("row", "column"), smooth.gain, _GAIN)}
+    )
+
+
+def _with_prior_of_ranges(target: xr.Dataset, window: int) -> xr.Dataset:
+    """Return a joint estimation with ranges that follow the surfaces of neighbors."""
+    distance = target["joint_slant_range"].values
+    total, common = (
+        target[f"joint_slant_range{part}"].values
+        for part in ("_uncertainty", "_common_uncertainty")
+    )
+    variance = np.maximum(total**2 - common**2, 0.0)
+    known = np.isfinite(distance) & (variance > 0)
+    turn = np.exp(1j * _PHASE * np.where(known, distance, np.nan))
+    smooth = smoothing(
+        turn[None, None],
+        np.where(known, _PHASE**2 * variance, np.inf)[None, None],
+        modulation_frequency=np.ones(1),
+        window=window,
+    )
+    moved = smooth.phase[0, 0] / _PHASE
+    return target.assign(
+        {
+            name: target[name].copy(data=target[name].values + moved)
+            for name in (f"joint_slant_range{end}" for end in ("", "_lower", "_upper"))
+        }
+        | {"smoothing_gain": (("row", "column"), smooth.gain, _GAIN)}
     )
 
 
@@ -251,16 +301,16 @@ def _checked(window: float, base: str) -> int:
             f"window must be an odd number of pixels from {_SMALLEST} to {_LARGEST}, "
             f"got {window:g}"
         )
-    if base not in get_args(Base):
-        raise ValueError(f"base must be open-water or combined, got {base!r}")
+    if base == "auto" or load(base).refine is not None:
+        raise ValueError(f"base must be a method for single pixels, got {base!r}")
     return width
 
 
 def _fitter(
     source: tiles.Source,
     *,
-    window: float = 5,
-    base: Base = "open-water",
+    window: float = _SMALLEST,
+    base: str = "open-water",
     **options: Any,
 ) -> tiles.OfRows:
     """Fit the base method to a scan; rows are read with their neighbors."""
@@ -273,21 +323,38 @@ def _fitter(
         end = min(source.rows, first + count + width // 2)
         target = subtract(source.tile(begin, end), begin)
         result = _with_prior(target, width)
-        result = result.isel(row=slice(first - begin, first - begin + count))
-        return cubes.note(result, f"smooth surface in windows of {width} x {width}")
+        return result.isel(row=slice(first - begin, first - begin + count))
 
     return of
 
 
-@method("smooth-surface", needs=Needs(open_water=True), fitter=_fitter)
+def _unsuited(cube: xr.Dataset, interval: tuple[float, float] | None) -> str:
+    """Return why a scan has no neighbors to compare; empty if it has."""
+    shape = cube.sizes["row"], cube.sizes["column"]
+    if min(shape) >= _SMALLEST:
+        return ""
+    return (
+        f"the scan has {shape[0]} x {shape[1]} pixels, and a window of neighbors "
+        f"{_SMALLEST} x {_SMALLEST}"
+    )
+
+
+@method(
+    "smooth-surface",
+    needs=Needs(open_water=True),
+    unsuited=_unsuited,
+    refine=partial(_with_prior, window=_SMALLEST),
+    remark="neighbors of a smooth surface reduce the noise, and smooth smaller details",
+    fitter=_fitter,
+)
 def smooth_surface(
     cube: xr.Dataset,
     *,
     interval: tuple[float, float] | None = None,
-    window: int = 5,
-    base: Base = "open-water",
+    window: int = _SMALLEST,
+    base: str = "open-water",
 ) -> xr.Dataset:
-    r"""Subtract open water, and estimate surfaces that are smooth except at edges.
+    r"""Subtract the water, and estimate surfaces that are smooth except at edges.
 
     Parameters
     ----------
@@ -297,14 +364,15 @@ def smooth_surface(
         Nearest and farthest slant range that are possible [m].
     window : int
         Width of the square windows of neighbors, odd, from 5 to 9 [pixels].
-    base : {"open-water", "combined"}
-        Method that subtracts the water.
+    base : str
+        Method that subtracts the water from each pixel.
 
     Returns
     -------
     xarray.Dataset
         Level `target_signal`, with the variables and flags of the base method. Phases
-        are those with the prior. The stated errors are those without it.
+        are those with the prior. The stated errors are those without it. The variable
+        `smoothing_gain` is the weight g of the neighbors in the range of each pixel.
 
     Raises
     ------
@@ -330,9 +398,11 @@ def smooth_surface(
     - :math:`(m - z)^2 - \sigma^2 - v`, as the pixel was left out of the plane.
 
     Ranges z and m combine all frequencies and channels. Each phase is then moved
-    towards its own plane by g. The prior narrows no interval: the stated uncertainty is
-    that of the data alone, although the noise is smaller on smooth surfaces. An
-    interval narrowed by g fails at details below the noise, which no test reveals.
+    towards its own plane by g; after a joint estimation it is the range. The prior
+    narrows no interval: the stated uncertainty is that of the data alone, although the
+    noise is smaller on smooth surfaces. An interval narrowed by g fails at details
+    below the noise, which no test reveals. `compare` expects a noise of
+    :math:`\sigma \sqrt{1 - g}`.
 
     References
     ----------

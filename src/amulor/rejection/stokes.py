@@ -284,7 +284,24 @@ def _unmix(
     )
 
 
-@method("stokes", needs=Needs(), fitter=partial(tiles.fit_on_sample, _unmix))
+def _unsuited(cube: xr.Dataset, interval: tuple[float, float] | None) -> str:
+    """Return why the channels do not test the matrices; empty if they do."""
+    channels = [name for name in cube.amulor.polarizations if name != "none"]
+    if len(channels) > 2 and len({name[0] for name in channels}) > 1:
+        return ""
+    return (
+        "one launched polarization does not test the Mueller matrices; record a "
+        "second one, such as RR and RL beside VV and VH"
+    )
+
+
+@method(
+    "stokes",
+    needs=Needs(),
+    simplicity=4,
+    unsuited=_unsuited,
+    fitter=partial(tiles.fit_on_sample, _unmix),
+)
 def unmix_stokes(
     cube: xr.Dataset,
     *,

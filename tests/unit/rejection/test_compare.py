@@ -38,14 +38,22 @@ def found(cube: xr.Dataset) -> rejection.Comparison:
 
 def test_every_method_has_a_row(found: rejection.Comparison) -> None:
     methods = {row.method for row in found.rows}
-    assert methods == {
+    of_pixels = {
         "cross-polarized",
         "open-water",
+        "background",
         "frequency",
         "polarization",
         "combined",
+        "polarization-difference",
+        "stokes",
         "joint",
+        "range-profile",
     }
+    assert of_pixels < methods
+    (smooth,) = methods - of_pixels
+    base = smooth.removeprefix("smooth-surface of ")
+    assert base in of_pixels
     assert sum(row.recommended for row in found.rows) == 1
     best = next(row for row in found.rows if row.recommended)
     assert (best.method, best.polarization) == (found.method, found.polarization)
@@ -121,7 +129,7 @@ def test_methods_that_cannot_run_say_why(by_hand: Make) -> None:
     rows = {row.method: row for row in rejection.compare(cube).rows}
     assert "unmixing needs one of the pairs" in rows["polarization"].note
     assert "one modulation frequency" in rows["joint"].note
-    assert rows["open-water"].recommended
+    assert rows["smooth-surface of open-water"].recommended
     assert rows["joint"].usable == 0
     assert rows["joint"].caution is rejection.Caution.NOT_RUN
     assert rows["open-water"].caution is rejection.Caution.NONE
@@ -141,7 +149,8 @@ def test_of_equal_methods_the_simpler_one_wins(by_hand: Make) -> None:
     # The crossed channel adds 0.242^2 = 6 % of weight: 3 % less error.
     cube = by_hand(frequency=[39e6], channels=PAIR, shots=400, shape=(20, 20))
     found = rejection.compare(cube, interval=(0.5, 2.5))
-    assert (found.method, found.polarization) == ("open-water", "VV")
+    base = "smooth-surface of open-water"
+    assert (found.method, found.polarization) == (base, "VV")
     errors = {row.method: row.error for row in found.rows if row.polarization == "VV"}
     assert errors["combined"] < errors["open-water"]
 
@@ -425,3 +434,93 @@ def test_paths_of_two_methods_differ_up_to_whole_intervals() -> None:
     none = module._Trial(row=_row("none", noise), path=None)
     for pair in ((none, other), (first, none)):
         assert module._differences(*pair).size == 0
+
+
+PLATE: dict[str, Any] = {
+    "frequency": [10e6, 35e6, 80e6], "channels": {"VV": (1.0, 1.0)}, "shape": (14, 16),
+}  # fmt: skip
+
+
+def test_neighbors_of_a_smooth_surface_are_used_and_the_reason_says_so(
+    by_hand: Make,
+) -> None:
+    cube = by_hand(**PLATE)
+    found = rejection.compare(cube, interval=(0.5, 2.5))
+    assert found.method.startswith("smooth-surface of ")
+    assert "neighbors of a smooth surface reduce the noise, and smooth" in found.reason
+    assert "(noise of a pixel " in found.reason
+    base = rejection.load(found.method.removeprefix("smooth-surface of "))
+    plain = base(cube, interval=(0.5, 2.5))
+    target = rejection.auto(cube, interval=(0.5, 2.5))
+    total, before = (
+        part["in_phase_uncertainty"] ** 2 + part["quadrature_uncertainty"] ** 2
+        for part in (target, plain)
+    )
+    np.testing.assert_allclose(total, before, rtol=1e-9)
+    assert target.attrs["rejection_method"] == found.method
+    # A comparison that was made before gives the same result.
+    again = rejection.auto(cube, interval=(0.5, 2.5), comparison=found)
+    for name in ("in_phase", "quadrature_uncertainty", "smoothing_gain"):
+        np.testing.assert_array_equal(target[name].values, again[name].values)
+
+
+def test_a_rough_surface_is_not_smoothed(by_hand: Make) -> None:
+    # Bumps of 20 mm, some 20 times the noise.
+    bumps = np.random.default_rng(3).normal(0, 0.02, PLATE["shape"])
+    cube = by_hand(**PLATE, distance=1.5)
+    wave = 4 * np.pi * np.array(PLATE["frequency"]) * 1.38 / 299792458.0
+    echo = np.exp(1j * wave[:, None, None, None] * (1.5 + bumps))
+    echo -= np.exp(1j * wave[:, None, None, None] * 1.5)
+    cube["in_phase"] = cube["in_phase"] + echo.real
+    cube["quadrature"] = cube["quadrature"] + echo.imag
+    found = rejection.compare(cube, interval=(0.5, 2.5))
+    assert not found.method.startswith("smooth-surface")
+    assert any(row.method.startswith("smooth-surface of") for row in found.rows)
+
+
+def test_methods_are_weighed_only_where_the_data_suit_them(by_hand: Make) -> None:
+    rows = {row.method: row for row in rejection.compare(by_hand(**PLATE)).rows}
+    assert "a bandwidth of 70 MHz resolves 1.6 m" in rows["range-profile"].note
+    assert "one launched polarization does not test" in rows["stokes"].note
+    assert "the open-water shots show the water" in rows["polarization-difference"].note
+    small = by_hand(**{**PLATE, "shape": (4, 9)})
+    rows = {row.method: row for row in rejection.compare(small).rows}
+    note = rows["smooth-surface"].note
+    assert "the scan has 4 x 9 pixels, and a window of neighbors 5 x 5" in note
+    # Signal of two launched polarizations, and a sweep.
+    stokes, profile = (rejection.load(n).unsuited for n in ("stokes", "range-profile"))
+    assert stokes is not None
+    assert profile is not None
+    channels = dict.fromkeys(("VV", "VH", "RR", "RL"), (1.0, 1.0))
+    assert stokes(by_hand(frequency=[39e6], channels=channels), None) == ""
+    sweep = [float(f) for f in np.arange(100e6, 1e9 + 1, 50e6)]
+    cube = by_hand(frequency=sweep, channels={"VV": (1.0, 1.0)}, shape=(1, 2))
+    assert profile(cube, (0.5, 2.4)) == ""
+    assert profile(cube, None) == ""
+    one = by_hand(frequency=[39e6], channels={"VV": (1.0, 1.0)}, shape=(1, 2))
+    assert "one modulation frequency has no range profile" in profile(one, None)
+
+
+def test_errors_of_few_frequencies_contain_the_late_light_of_the_image() -> None:
+    module = importlib.import_module("amulor.rejection.expected_errors")
+    for count, expected in ((2, np.hypot(3e-4, 5e-3)), (4, 3e-4)):
+        maps = {
+            "joint_slant_range": 2.0,
+            "joint_slant_range_uncertainty": np.hypot(3e-4, 5e-3),
+            "joint_slant_range_common_uncertainty": 5e-3,
+        }
+        target = xr.Dataset(
+            {
+                name: (("row", "column"), np.full((2, 2), value))
+                for name, value in maps.items()
+            },
+            coords={"modulation_frequency": np.arange(1, count + 1) * 1e7},
+            attrs={
+                "joint_instrument_uncertainty_m": 5e-3,
+                # Half of 0.25 * 0.01 rad2/m * (2 m)^2.
+                "joint_late_echo_uncertainty": 0.5,
+                "joint_late_echo_spread_rad2_per_m": 0.01,
+            },
+        )
+        errors = module._errors_of_joint(target, np.ones((2, 2), dtype=bool))
+        np.testing.assert_allclose(errors.noise, expected)
