@@ -203,7 +203,7 @@ def test_an_option_that_a_method_does_not_use_is_refused(
 #: and whether `auto` tries it without references, too; None is optional, or no rank.
 DECLARED = {
     "auto": (None, False, None, False),
-    "background": (False, False, None, False),
+    "background": (False, False, 2, False),
     "co-polarized": (None, False, None, False),
     "combined": (True, True, 4, False),
     "cross-polarized": (False, False, 0, False),
@@ -213,10 +213,10 @@ DECLARED = {
     "open-water": (True, False, 1, False),
     "phasor-lines": (None, False, None, False),
     "polarization": (None, True, 3, False),
-    "polarization-difference": (None, True, None, False),
-    "range-profile": (None, False, None, False),
+    "polarization-difference": (None, True, 4, False),
+    "range-profile": (None, False, 7, False),
     "smooth-surface": (True, False, None, False),
-    "stokes": (None, False, None, False),
+    "stokes": (None, False, 4, False),
 }
 
 
