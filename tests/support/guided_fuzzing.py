@@ -9,6 +9,7 @@ inputs that FOLDER has. Ends with an error after an exception, a case of 20 s, o
 from __future__ import annotations
 
 import functools
+import os
 import random
 import sys
 import warnings
@@ -40,16 +41,19 @@ def main(name: str, seconds: str, place: str, cases: str) -> None:
         from amulor.survey import Survey
 
     folder = Path(place)
+    # Each program makes the real files anew.
+    own = folder / str(os.getpid())
+    own.mkdir()
     text = (folder / "plate.toml").read_text()
     plate = Survey.from_text(text)
     if name == "journal":
-        reader = fuzzed_readers.journals(folder, plate)
+        reader = fuzzed_readers.journals(own, plate)
     elif name == "survey":
-        reader = fuzzed_readers.texts(folder, text)[name]
+        reader = fuzzed_readers.texts(own, text)[name]
     elif name in ("ply", "laz", "e57"):
-        reader = fuzzed_readers.shown(folder, name)
+        reader = fuzzed_readers.shown(own, name)
     else:
-        reader = fuzzed_readers.arrays(folder, plate)[name]
+        reader = fuzzed_readers.arrays(own, plate)[name]
     files = sorted(reader.files)
     # HDF5 itself fails on damaged bytes, which digests of amulor's files find first:
     # the bytes choose changes of variables and attributes instead.
@@ -72,7 +76,7 @@ def main(name: str, seconds: str, place: str, cases: str) -> None:
         file, content = files[data[0] % len(files)], data[1:]
         if by_change:
             content = functools.reduce(changed, content[:6], reader.files[file])
-        fed(reader, folder, file, content, file)
+        fed(reader, own, file, content, file)
 
     def mutated(data: bytes, longest: int, seed: int) -> bytes:
         if by_change or len(data) < 2 or seed % 2:

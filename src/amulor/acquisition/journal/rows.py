@@ -379,12 +379,8 @@ class Rows:
         except sqlite3.DatabaseError as error:
             if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_CORRUPT:
                 raise
-        most = last + SEARCHED
-        with contextlib.suppress(sqlite3.DatabaseError):
-            ((last_number,),) = self._connection.execute(
-                "SELECT MAX(number) FROM samples"
-            )
-            most = min(int(last_number or 0), most)
+        # The highest number may be damaged itself.
+        most = self._count() or last + SEARCHED
         for number in range(last + 1, most + 1):
             try:
                 yield from self._connection.execute(
