@@ -269,11 +269,12 @@ def _compared(
         (row.note for row in rows if row.caution is Caution.INSTRUMENT), ""
     )
     if contradiction:
-        # The channels of the scan are wrong, too, beside the shots.
+        # The channels of the scan are wrong, too, beside the shots. A range profile
+        # explains and tests several surfaces, which others take for a contradiction.
         touched = [
             candidate.name
             for candidate in candidates
-            if candidate.needs.open_water is not False
+            if candidate.needs.open_water or candidate.needs.channel_pair
         ]
         rows = [
             replace(row, caution=Caution.INSTRUMENT, trusted=0.0, note=contradiction)
