@@ -5,7 +5,7 @@ import pytest
 from scipy.constants import speed_of_light
 
 from amulor import imaging, rejection, simulation
-from amulor.cube import QualityFlag
+from amulor.cube import DOUBTFUL, QualityFlag
 
 MODEL = simulation.ClosureModel()
 FREQUENCIES = np.array([20e6, 45e6, 100e6])
@@ -104,3 +104,32 @@ def test_readings_at_once_have_no_such_test(plate):
     )
     image = imaging.range_image(at_once, interval=LIMITS)
     assert "moved_probability" not in image
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::amulor.errors.AmulorWarning")
+@pytest.mark.parametrize(("dwell", "trusted"), [(0.01, 0.98), (0.05, 0.3)])
+def test_joint_estimation_states_or_flags_what_a_range_rate_causes(
+    plate, dwell, trusted
+):
+    """It takes readings as simultaneous; ranges change by 1 and 5 mm between them."""
+    survey = plate.with_(
+        {
+            "instrument.modulation_frequencies": [20e6, 45e6, 80e6, 100e6],
+            "instrument.polarizations": ["VV"],
+            "instrument.lock_in.time_constant": dwell / 10,
+            "scan.columns": 8,
+            "scan.rows": 8,
+            "scan.dwell": dwell,
+            "platform": {
+                "course": {"kind": "line", "start": [0.0, 0.0, 0.0], "speed": SPEED}
+            },
+        }
+    )
+    cube = simulation.simulate(survey, rng=2, model=MODEL)
+    image = imaging.range_image(rejection.joint(cube, interval=(0.3, 3.0)))
+    good = ~_flagged(image, DOUBTFUL) & np.isfinite(image["slant_range"].values)
+    assert good.mean() >= trusted
+    error = (image["slant_range"] - image["truth_slant_range"]).values[good]
+    limit = 1.96 * image["slant_range_uncertainty"].values[good]
+    assert (np.abs(error) < limit).mean() >= 0.95
