@@ -78,7 +78,7 @@ def main() -> None:
             values = [row[name] for row in rows]
             figures[f"{readings}: {name}"] = float(np.mean(values))
             print(f"{readings}: {name}", *(f"{value:.4g}" for value in values))
-    history.append(Path(__file__).stem, figures)
+    history.append("time_moving_joint", figures)
 
 
 if __name__ == "__main__":
