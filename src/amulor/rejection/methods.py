@@ -181,6 +181,12 @@ class Method:
         -------
         Method
             Method whose name ends in "of" and the name of the other one.
+
+        Examples
+        --------
+        >>> from amulor import rejection
+        >>> rejection.load("smooth-surface").of("joint").name
+        'smooth-surface of joint'
         """
         return replace(
             self,
