@@ -349,7 +349,9 @@ def test_light_of_corners_counts_as_in_the_range_image() -> None:
         image = imaging.range_image(target, interval=case.interval)
         expected = np.median(image["slant_range_uncertainty_corners"].values)
         corners = np.sqrt(rows[name].noise ** 2 - without.noise**2)
-        assert corners == pytest.approx(expected, rel=0.1)
+        # Flagged pixels do not count.
+        if rows[name].flagged == 0:
+            assert corners == pytest.approx(expected, rel=0.1)
         assert without.flagged == 0
     # Unpolarized light passes for water, which `polarization` separates by its ratio.
     assert rows["polarization"].flagged > 0.5

@@ -11,14 +11,10 @@ from scipy.stats import norm
 from amulor.site.registration.patterns import PatternTest, _suspected, mean_square
 
 
-@pytest.mark.parametrize("size", [5.0, 0.3])
 @pytest.mark.parametrize("score", [0.0, -1.0, 2.5, 4.0])
-def test_the_mean_square_of_an_error_is_that_of_bayes_theorem(
-    score: float, size: float
-) -> None:
-    # One scan of a hundred has the error, of a size of 5 standard errors of the test,
-    # or less if start poses exclude that.
-    prior = 0.01
+def test_the_mean_square_of_an_error_is_that_of_bayes_theorem(score: float) -> None:
+    # One scan of a hundred has the error, of a size of 5 standard errors of the test.
+    prior, size = 0.01, 5.0
 
     def with_error(value: float) -> float:
         return prior * norm.pdf(value, scale=size) * norm.pdf(score, loc=value)
@@ -26,7 +22,7 @@ def test_the_mean_square_of_an_error_is_that_of_bayes_theorem(
     limits = (score - 12, score + 12)
     square = quad(lambda value: value**2 * with_error(value), *limits, epsabs=1e-15)[0]
     total = quad(with_error, *limits, epsabs=1e-15)[0] + (1 - prior) * norm.pdf(score)
-    assert_allclose(mean_square(score, size), square / total, rtol=1e-6)
+    assert_allclose(mean_square(score), square / total, rtol=1e-6)
 
 
 def test_an_error_beyond_doubt_has_its_estimated_size() -> None:
@@ -54,5 +50,6 @@ def test_a_test_that_determines_nothing_adds_no_more_than_start_poses_allow(
         detectable=6.75, score=score,
     )  # fmt: skip
     spread = _suspected([test], [np.array([6.75])], np.array([[1e4]]))
-    # Such a test does not change the probability of the error, 0.01.
-    assert_allclose(spread, [[0.01 * 0.01**2]], rtol=5e-4)
+    # Three standard errors of the pose, by the probability of the error.
+    odds = np.log(0.01 / 0.99) - np.log(26) / 2 + 25 / 26 * score**2 / 2
+    assert_allclose(spread, [[0.03**2 / (1 + np.exp(-odds))]], rtol=1e-6)

@@ -56,6 +56,9 @@ _CHANCE = 1e-3
 #: Probability of each error before its test, and the standard deviation of its size
 #: over the standard uncertainty of the test [1].
 _PRIOR, _PRIOR_SIZE = 0.01, 5.0
+#: Change of poses that start poses, stated errors and targets exclude, in their
+#: standard errors [1].
+_EXCLUDED = 3.0
 #: Least score of a pattern that is named beside the strongest one, over its score [1].
 _ALIKE = 0.85
 #: Least part of excluded points and least misfit, over that of other pairs, in each
@@ -191,29 +194,29 @@ def _suspected(
     """Return the covariance of all unknowns due to suspected errors, of any scan.
 
     The strongest test may be a consequence of an error of another scan. `known` is the
-    information of start poses, stated errors and targets. They limit an error that
-    surfaces hardly determine, because it would move the poses away from them.
+    information of start poses, stated errors and targets. They exclude an error that
+    would move the poses by more than three standard errors away from them.
     """
     spread = np.zeros(known.shape)
     for test, change in zip(tests, changes, strict=True):
         step = change * test.uncertainty / test.detectable
-        limit = 1 / np.sqrt(max(float(step @ known @ step), 1e-300))
-        share = mean_square(test.score, min(limit, _PRIOR_SIZE))
-        spread += share * np.outer(step, step)
+        limit = _EXCLUDED / np.sqrt(max(float(step @ known @ step), 1e-300))
+        spread += mean_square(test.score, limit) * np.outer(step, step)
     return spread
 
 
-def mean_square(score: float, prior: float = _PRIOR_SIZE) -> float:
+def mean_square(score: float, limit: float = np.inf) -> float:
     r"""Return the mean square of an error of a scan after its test [1].
 
     Its unit is the variance of the test. Before the test, the error exists with the
-    probability p, and has the standard deviation t, which is `prior`. With :math:`k =
-    t^2 / (1 + t^2)`, a score z changes the odds of the error by :math:`\sqrt{1 - k}
-    \exp(k z^2 / 2)`. The mean square is :math:`k^2 z^2 + k` times the new probability.
+    probability p, and has the variance :math:`t^2`. With :math:`k = t^2 / (1 + t^2)`, a
+    score z changes the odds of the error by :math:`\sqrt{1 - k} \exp(k z^2 / 2)`. The
+    mean square is :math:`k^2 z^2 + k`, at most the square of `limit`, times the new
+    probability.
     """
-    shrunk = prior**2 / (1 + prior**2)
+    shrunk = _PRIOR_SIZE**2 / (1 + _PRIOR_SIZE**2)
     odds = logit(_PRIOR) + np.log1p(-shrunk) / 2 + shrunk * score**2 / 2
-    return float(expit(odds) * (shrunk**2 * score**2 + shrunk))
+    return float(expit(odds) * min(shrunk**2 * score**2 + shrunk, limit**2))
 
 
 def _undetected(
