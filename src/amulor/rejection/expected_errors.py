@@ -115,11 +115,12 @@ def _errors_of_joint(target: xr.Dataset, usable: NDArray[np.bool_]) -> Errors:
     kept = np.zeros(settled.shape)
     if target.sizes["modulation_frequency"] < SHAPE_KNOWN:
         # They contain late light, which the range image keeps here.
-        part, spread = (
-            target.attrs[f"joint_late_echo_{name}"]
-            for name in ("uncertainty", "spread_rad2_per_m")
+        from amulor.rejection.joint.priors import late_echo
+
+        kept = target.attrs["joint_late_echo_uncertainty"] * late_echo(
+            target["joint_slant_range"].values[usable],
+            target.attrs["joint_late_echo_spread_rad2_per_m"],
         )
-        kept = part * spread / 4 * target["joint_slant_range"].values[usable] ** 2
     common = target["joint_slant_range_common_uncertainty"].values[usable]
     none = np.zeros(settled.shape, dtype=bool)
     return Errors(

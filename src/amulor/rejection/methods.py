@@ -442,7 +442,5 @@ def compared_methods() -> tuple[list[Method], dict[str, AmulorError]]:
         for candidate in compared
         if candidate.refine is not None or candidate.simplicity is not None
     ]
-    # Those that refine the best one are the last.
-    ranked.sort(key=lambda candidate: (candidate.refine is not None, candidate.name))
-    ranked.sort(key=lambda candidate: candidate.simplicity or 0)
+    ranked.sort(key=lambda candidate: (candidate.simplicity or 0, candidate.name))
     return ranked, broken

@@ -329,8 +329,8 @@ class Rows:
     def _count(self) -> int:
         """Return the number of rows by the index of their keys; 0 if it is damaged."""
         with contextlib.suppress(sqlite3.DatabaseError):
-            for (count,) in self._connection.execute("SELECT COUNT(*) FROM samples"):
-                return int(count)
+            ((count,),) = self._connection.execute("SELECT COUNT(*) FROM samples")
+            return int(count)
         return 0
 
     def _row_check(self, entries: Mapping[str, str]) -> tuple[list[str], RowCheck]:
