@@ -1,4 +1,4 @@
-"""What commands print is what their results hold, number by number and in its unit.
+"""Numbers that commands print: those of their results, each in its unit.
 
 Each result has a value of its own in every field, so that no line can show another's.
 """

@@ -191,27 +191,8 @@ def test_nothing_infinite_is_written(whole, folder) -> None:
         assert journal.count() == 0
 
 
-def test_rows_of_a_first_page_that_is_broken_are_named_from_the_first_one(
-    whole, folder
-) -> None:
-    place = copied(whole, folder / "scan")
-    connection = sqlite3.connect(place / FILE_NAME)
-    ((root,),) = connection.execute(
-        "SELECT rootpage FROM sqlite_master WHERE name = 'samples'"
-    )
-    ((size,),) = connection.execute("PRAGMA page_size")
-    connection.close()
-    raw = bytearray((place / FILE_NAME).read_bytes())
-    # The kind of the page, which is none that there is.
-    raw[(root - 1) * size] = 0xFF
-    (place / FILE_NAME).write_bytes(raw)
-    with Journal.read(place) as journal:
-        told = " ".join(journal.damage())
-    assert "row 1: cannot be read" in told
-
-
-def test_rows_of_an_unreadable_page_are_named_once_each(whole, folder) -> None:
-    place = copied(whole, folder / "scan")
+def table_of(place: Path) -> tuple[bytearray, int, int, int]:
+    """Return the file, the place of the table of samples, page size, and rows."""
     connection = sqlite3.connect(place / FILE_NAME)
     ((root,),) = connection.execute(
         "SELECT rootpage FROM sqlite_master WHERE name = 'samples'"
@@ -220,7 +201,25 @@ def test_rows_of_an_unreadable_page_are_named_once_each(whole, folder) -> None:
     ((count,),) = connection.execute("SELECT COUNT(*) FROM samples")
     connection.close()
     raw = bytearray((place / FILE_NAME).read_bytes())
-    begin = (root - 1) * size
+    return raw, (root - 1) * size, size, count
+
+
+def test_rows_of_a_first_page_that_is_broken_are_named_from_the_first_one(
+    whole, folder
+) -> None:
+    place = copied(whole, folder / "scan")
+    raw, begin, _, _ = table_of(place)
+    # The kind of the page, which is none that there is.
+    raw[begin] = 0xFF
+    (place / FILE_NAME).write_bytes(raw)
+    with Journal.read(place) as journal:
+        told = " ".join(journal.damage())
+    assert "row 1: cannot be read" in told
+
+
+def test_rows_of_an_unreadable_page_are_named_once_each(whole, folder) -> None:
+    place = copied(whole, folder / "scan")
+    raw, begin, size, count = table_of(place)
     # An interior page has kind 5; each of its cells begins with the number of a page.
     assert raw[begin] == 5
     (cell,) = struct.unpack_from(">H", raw, begin + 12)
@@ -237,16 +236,9 @@ def test_rows_of_an_unreadable_page_are_named_once_each(whole, folder) -> None:
 
 def last_leaf(place: Path) -> tuple[bytearray, int, int]:
     """Return the file, the start of the last page of samples, and their number."""
-    connection = sqlite3.connect(place / FILE_NAME)
-    ((root,),) = connection.execute(
-        "SELECT rootpage FROM sqlite_master WHERE name = 'samples'"
-    )
-    ((size,),) = connection.execute("PRAGMA page_size")
-    ((count,),) = connection.execute("SELECT COUNT(*) FROM samples")
-    connection.close()
-    raw = bytearray((place / FILE_NAME).read_bytes())
+    raw, begin, size, count = table_of(place)
     # An interior page ends with the number of its last page.
-    (last,) = struct.unpack_from(">I", raw, (root - 1) * size + 8)
+    (last,) = struct.unpack_from(">I", raw, begin + 8)
     return raw, (last - 1) * size, count
 
 
