@@ -144,3 +144,22 @@ def distance_to_plane(
 ) -> float:
     """Distance along a ray to a plane [m]."""
     return float(normal @ (point - origin) / (normal @ direction))
+
+
+def echo_in_turn(
+    frequency: np.ndarray,
+    distance: np.ndarray,
+    beam: np.ndarray,
+    receiver: np.ndarray,
+    group_index: float,
+) -> np.ndarray:
+    """Phasors of echoes of amplitude 1, each of a distance from the emitter [m].
+
+    The light goes from the origin along the beam, and from there to the receiver. The
+    frequencies are along the first axis of the distances, the beams along the others.
+    """
+    back = np.linalg.norm(distance[..., None] * beam - receiver, axis=-1)
+    turns = (
+        frequency.reshape(-1, *[1] * (distance.ndim - 1)) * group_index / 299792458.0
+    )
+    return np.exp(2j * np.pi * turns * (distance + back))

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.cube.error import flags_of_pixels, may_contain
-from amulor.cube.readings import lag_of
+from amulor.cube.readings import lag_of, range_motion
 from amulor.cube.schema import PHASE_PREFIX
 from amulor.cube.tiles import Span
 from amulor.errors import CubeError, SurveyError
 from amulor.optics import ambiguity, detection, ranging, rays
 from amulor.optics._geometry import Geometry
+from amulor.optics._reading_weights import ReadingWeights
 from amulor.survey import Survey
-from amulor.survey.course import planned_speed
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -59,10 +59,6 @@ def geometry_of(cube: xr.Dataset) -> Geometry:
             **{name: float(attributes[name]) for name in _WINDOW if name in attributes},
         ),
     )
-
-
-#: Least standard uncertainty of the range rate of a vehicle, which also rolls [m/s].
-LEAST_RATE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,18 +173,16 @@ class Observation:
         """
         return lag_of(self.channel, self.survey)
 
-    def rate_phase(self, weight: Floats) -> Floats:
-        """Phase uncertainties by an unknown range rate of a vehicle [rad].
+    def motion(self, weight: Floats) -> Floats | None:
+        """Return the standard deviations of the optical paths by the range rate [m].
 
-        The rate has a standard uncertainty of the planned speed over sqrt(3). Phases
-        count from the mean time of the readings with the weights of the frequencies.
+        They have a sign and count from the mean time of the readings with the weights
+        of the frequencies. None if `lag` is.
         """
-        if self.lag is None or self.survey is None or self.survey.platform is None:
-            return np.zeros((1, 1, 1))
-        speed = planned_speed(self.survey.platform) / np.sqrt(3)
-        path = 2 * self.geometry.medium.group_index * max(speed, LEAST_RATE)
-        since = self.lag - np.tensordot(weight, self.lag, 1)
-        return np.asarray(path * np.abs(since) / self.path_per_phase)
+        if self.lag is None or self.survey is None:
+            return None
+        change = range_motion(self.lag, self.survey, weight)
+        return 2 * self.geometry.medium.group_index * change
 
     @property
     def has_late_light(self) -> bool:
@@ -265,6 +259,7 @@ def noise_scale(
     *,
     path_per_phase: Floats,
     refit: Callable[[float], ambiguity.Path],
+    motion: Floats | None = None,
 ) -> float:
     r"""Ratio of observed to stated phase noise; 1 if not significantly above.
 
@@ -276,23 +271,26 @@ def noise_scale(
     stated too small the tails of the noise are left out as outliers, so that what stays
     scatters less; the factor is looked at once more with errors that are about right.
     """
-    factor, chance = _factor(path, error * path_per_phase)
+    factor, chance = _factor(path, error * path_per_phase, motion)
     if not factor**2 > 1 + _SURE * chance:
         return 1.0
-    again, _ = _factor(refit(factor), factor * error * path_per_phase)
+    again, _ = _factor(refit(factor), factor * error * path_per_phase, motion)
     return max(factor * again, 1.0)
 
 
-def _factor(path: ambiguity.Path, error: Floats) -> tuple[float, float]:
+def _factor(
+    path: ambiguity.Path, error: Floats, motion: Floats | None
+) -> tuple[float, float]:
     """Ratio of observed to stated noise, and the standard error of its square.
 
     The factor is 1 where there is too little to tell it.
     """
     valid = np.isfinite(path.length)
     valid &= np.isfinite(error).all(axis=0) & (error > 0).all(axis=0)
-    freedom = len(error) - 1
+    freedom = len(error) - 1 - (motion is not None)
     if freedom < 1:
         return 1.0, 0.0
+    variance = _expected(path, error, motion)
     scores = []
     for axis in (0, 1):
         first_of_pair, second_of_pair = _pairs(axis)
@@ -301,9 +299,7 @@ def _factor(path: ambiguity.Path, error: Floats) -> tuple[float, float]:
         square = (path.residual[indices[0]] - path.residual[indices[1]])[
             :, valid_pairs
         ] ** 2
-        first, second = (
-            _expected(path.weight[e], error[e])[:, valid_pairs] for e in indices
-        )
+        first, second = (variance[e][:, valid_pairs] for e in indices)
         left_out = (path.left_out[indices[0]] | path.left_out[indices[1]])[
             :, valid_pairs
         ]
@@ -348,7 +344,12 @@ def _pairs(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     return (first[0], first[1]), (second[0], second[1])
 
 
-def _expected(weight: Floats, error: Floats) -> Floats:
+def _expected(path: ambiguity.Path, error: Floats, motion: Floats | None) -> Floats:
     """Variance of residuals about a weighted mean of independent errors."""
-    of_mean = np.sum((weight * np.where(np.isfinite(error), error, 0.0)) ** 2, axis=0)
-    return np.asarray((1 - 2 * weight) * error**2 + of_mean)
+    if motion is not None:
+        with np.errstate(divide="ignore"):
+            precision = np.where(path.left_out, 0.0, error**-2.0)
+        return ReadingWeights.of(precision, motion).scatter(error)
+    known = np.where(np.isfinite(error), error, 0.0)
+    of_mean = np.sum((path.weight * known) ** 2, axis=0)
+    return np.asarray((1 - 2 * path.weight) * error**2 + of_mean)

@@ -184,6 +184,7 @@ def fitted_range_image(
                 path,
                 observation.own_sigma,
                 path_per_phase=observation.path_per_phase,
+                motion=observation.motion(of_path.weight),
                 refit=lambda factor: _settled_path(
                     observation.with_noise(factor), interval
                 )[0],
@@ -299,8 +300,9 @@ def _settled_path(
     instrument = instrument_phase(observation.channel, observation.survey)
     doubt = np.hypot(
         np.nan_to_num(np.abs(observation.shift), nan=np.inf),
-        np.hypot(instrument[:, None, None], observation.rate_phase(weight)),
+        instrument[:, None, None],
     )
+    motion = observation.motion(weight)
 
     def path_of(
         phase: Floats, doubt: Floats, choices: ambiguity.Choices | None
@@ -312,6 +314,7 @@ def _settled_path(
             "shortest": shortest,
             "longest": longest,
             "doubt": doubt,
+            "motion": motion,
         }
         if choices is None:
             return ambiguity.fit(**arguments)

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from amulor.optics._reading_weights import ReadingWeights
+
 Floats = NDArray[np.float64]
 
 #: The runner-up must fit worse by this much in chi-square, or the choice is open.
@@ -95,6 +97,7 @@ def optical_path(
     shortest: Floats,
     longest: Floats,
     doubt: Floats | float = 0.0,
+    motion: Floats | None = None,
     choices: Choices | None = None,
 ) -> Path:
     """Return the two-way optical path that best fits the phases at all frequencies.
@@ -110,6 +113,10 @@ def optical_path(
     doubt : ndarray or float
         Possible phase errors beyond the uncertainty, such as by residual water signal
         [rad]. They only permit larger disagreement between frequencies.
+    motion : ndarray, optional
+        Standard deviation of the path at each reading, by a path rate that all readings
+        of a pixel share; its sign is that of the time since the instant to which the
+        path belongs [m].
     choices : Choices, optional
         Scan-wide choices, from `fit` on the pixels of a whole scan or a sample of it;
         by default from these pixels.
@@ -133,6 +140,10 @@ def optical_path(
     candidate is right, with equal prior probabilities. At the ends of a full ambiguity
     interval both ends are candidates. A path within a few standard errors of an end is
     therefore not settled, nor is a path outside by more than two.
+
+    With `motion` b, the covariance of the paths at all frequencies is the diagonal of
+    their variances plus :math:`b b^T`: the rate is a nuisance parameter with a normal
+    prior. Residuals are those about the most probable rate.
 
     With three or more frequencies, a frequency is an outlier if all together disagree
     and all others agree. Outliers are excluded one after the other, up to a third of
@@ -163,6 +174,7 @@ def optical_path(
         shortest=shortest,
         longest=longest,
         doubt=doubt,
+        motion=motion,
         choices=choices,
     )[0]
 
@@ -175,12 +187,13 @@ def fit(
     shortest: Floats,
     longest: Floats,
     doubt: Floats | float = 0.0,
+    motion: Floats | None = None,
 ) -> tuple[Path, Choices]:
     """Return the two-way optical path of each pixel, and choices for the whole scan.
 
     Parameters
     ----------
-    phase, uncertainty, modulation_frequency, shortest, longest, doubt : ndarray
+    phase, uncertainty, modulation_frequency, shortest, longest, doubt, motion : ndarray
         As in `optical_path`.
 
     Returns
@@ -210,6 +223,7 @@ def fit(
         shortest=shortest,
         longest=longest,
         doubt=doubt,
+        motion=motion,
         choices=None,
     )
 
@@ -222,6 +236,7 @@ def _solved(
     shortest: Floats,
     longest: Floats,
     doubt: Floats | float,
+    motion: Floats | None,
     choices: Choices | None,
 ) -> tuple[Path, Choices]:
     """Return two-way optical paths and scan-wide choices, as given or computed."""
@@ -236,6 +251,7 @@ def _solved(
         shortest=np.broadcast_to(shortest, phase.shape[1:]),
         longest=np.broadcast_to(longest, phase.shape[1:]),
         doubt=np.broadcast_to(np.asarray(doubt, dtype=float), phase.shape),
+        motion=None if motion is None else np.broadcast_to(motion, phase.shape),
         order=order,
     )
     path = _best_path(phases)
@@ -284,6 +300,7 @@ class _Phases:
     shortest: Floats
     longest: Floats
     doubt: Floats
+    motion: Floats | None
     order: tuple[int, ...]
     """Frequency indices, smallest path error first."""
 
@@ -299,6 +316,7 @@ class _Phases:
             shortest=self.shortest[pixels],
             longest=self.longest[pixels],
             doubt=self.doubt[index],
+            motion=None if self.motion is None else self.motion[index],
         )
 
 
@@ -402,23 +420,31 @@ def _best_path(phases: _Phases) -> Path:
             f"the interval holds {span:.3g} ambiguity intervals of "
             f"{modulation_frequency[best] / 1e6:g} MHz; narrow it"
         )
-    slack = np.minimum(_SLACK * sigma[best], step / 2)
+    # Of the best frequency, which was measured a little before or after the others.
+    own = (
+        sigma[best]
+        if phases.motion is None
+        else np.hypot(sigma[best], phases.motion[best])
+    )
+    slack = np.minimum(_SLACK * own, step / 2)
     nearest = shortest - slack + np.mod(measured[best] - shortest + slack, step)
-    weight = precision / precision.sum(axis=0)
+    rated = ReadingWeights.of(precision, phases.motion)
     length = np.full(nearest.shape, np.nan)
     lowest = np.full(nearest.shape, np.inf)
     second = np.full(nearest.shape, np.inf)
     strain = np.full(nearest.shape, np.inf)
     # Likelihoods of all candidates over that of the best one so far.
     total = np.zeros(nearest.shape)
-    excused = 1 / (sigma**2 + (phases.doubt * cycle / (2 * np.pi)) ** 2)
+    excused = ReadingWeights.of(
+        1 / (sigma**2 + (phases.doubt * cycle / (2 * np.pi)) ** 2), phases.motion
+    )
     for count in range(int(np.ceil(span + 1)) + 1):
         candidate = nearest + count * step
         turns = np.round((candidate - measured) / cycle)
         unwrapped = measured + turns * cycle
-        refined = np.sum(weight * unwrapped, axis=0)
-        error = (unwrapped - refined) ** 2
-        misfit = np.sum(error * precision, axis=0)
+        refined = np.sum(rated.weight * unwrapped, axis=0)
+        error = unwrapped - refined
+        misfit = rated.square(error)
         misfit = np.where(candidate <= longest + slack, misfit, np.inf)
         better = misfit < lowest
         with np.errstate(invalid="ignore"):
@@ -427,20 +453,21 @@ def _best_path(phases: _Phases) -> Path:
         total = np.where(better, 1 + ratio * total, total + ratio)
         second = np.where(better, lowest, np.minimum(second, misfit))
         length = np.where(better, refined, length)
-        strain = np.where(better, np.sum(error * excused, axis=0), strain)
+        strain = np.where(better, excused.square(error), strain)
         lowest = np.where(better, misfit, lowest)
     turns = np.round((length - measured) / cycle)
-    residual = np.where(precision > 0, measured + turns * cycle - length, 0.0)
+    residual = rated.without_rate(measured + turns * cycle - length)
+    residual = np.where(precision > 0, residual, 0.0)
     freedom = (precision > 0).sum(axis=0) - 1
     with np.errstate(invalid="ignore"):
         settled = np.isfinite(lowest) & (second - lowest > MARGIN)
         settled &= (freedom == 0) | (strain < _chi_square_limits(len(phase))[freedom])
-        outside = np.minimum(_OUTSIDE * sigma[best], step / 2)
+        outside = np.minimum(_OUTSIDE * own, step / 2)
         settled &= (length >= shortest - outside) & (length <= longest + outside)
     return Path(
         length=length,
-        uncertainty=precision.sum(axis=0) ** -0.5,
-        weight=weight,
+        uncertainty=rated.information**-0.5,
+        weight=rated.weight,
         settled=settled,
         wrong=np.where(total > 0, 1 - 1 / np.maximum(total, 1.0), 1.0),
         residual=residual,

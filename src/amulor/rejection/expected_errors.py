@@ -11,6 +11,7 @@ from scipy.constants import speed_of_light
 from scipy.special import chdtri
 
 from amulor.cube.error import SHAPE_KNOWN, instrument_phase, may_contain
+from amulor.cube.readings import lag_of, range_motion
 from amulor.optics import ambiguity, detection, ranging
 from amulor.optics._geometry import Geometry
 from amulor.optics._mixed_beam import mixed_beams
@@ -134,6 +135,23 @@ def _errors_of_joint(target: xr.Dataset, usable: NDArray[np.bool_]) -> Errors:
     )
 
 
+def _motion(
+    target: xr.Dataset, sigma: Floats, usable: NDArray[np.bool_]
+) -> Floats | None:
+    """Return the motion of a vehicle between readings, as optical paths [m]."""
+    channel = target.isel(polarization=0)
+    survey = target.amulor.survey
+    lag = lag_of(channel, survey)
+    if lag is None:
+        return None
+    weight = np.median(sigma, axis=1) ** -2.0
+    return (
+        2
+        * float(target["geometry"].attrs["group_index"])
+        * range_motion(lag[:, usable], survey, weight)
+    )
+
+
 def _errors_of_samples(
     target: xr.Dataset, usable: NDArray[np.bool_], excluded: NDArray[np.bool_]
 ) -> Errors:
@@ -183,6 +201,7 @@ def _errors_of_samples(
         # As far as the phases do not repeat.
         longest=np.full(noise.shape, 0.999 * repeated_path(frequency)),
         doubt=np.broadcast_to(instrument[:, None], sigma.shape),
+        motion=_motion(target, sigma, usable),
     )
     # Only whether they agree: which interval is right is a matter of its limits.
     freedom = (np.isfinite(sigma) & ~path.left_out).sum(axis=0) - 1

@@ -112,7 +112,8 @@ def find(words: str) -> list[Explanation]:
 
 def _limits() -> dict[str, Any]:
     """Limits and false-alarm rates that replace placeholders in explanations."""
-    from amulor.imaging import edges, observation, outliers
+    from amulor.cube import readings
+    from amulor.imaging import edges, outliers
     from amulor.optics import ambiguity
     from amulor.rejection import quality, subtraction
     from amulor.rejection.joint import cube as joint
@@ -136,7 +137,7 @@ def _limits() -> dict[str, Any]:
         "ambiguity": ambiguity,
         "joint": joint,
         "outliers": outliers,
-        "observation": observation,
+        "readings": readings,
         "progress": progress,
         "mixed": mixed,
         "alone": alone,

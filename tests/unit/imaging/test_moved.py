@@ -1,5 +1,6 @@
 """Readings from a vehicle in turn: their range rate, and readings that disagree."""
 
+import moving_pass
 import numpy as np
 import pytest
 from scipy.constants import speed_of_light
@@ -54,6 +55,55 @@ def test_a_range_rate_is_no_contradiction(target):
     # differ a little from pixel to pixel; the readings span 10 mm.
     limit = 4 * float(image["slant_range_uncertainty"].max())
     assert float(np.abs(error).max()) < limit
+
+
+def test_ranges_are_those_of_the_stated_instant_within_their_errors(target):
+    """Range rates up to the speed, and noise that varies from pixel to pixel.
+
+    An independent renderer gives the phases. The stated instant is the mean time of
+    the readings with the weights in the image, and the pose of a point is that of it.
+    """
+    rng = np.random.default_rng(8)
+    beam = np.moveaxis(
+        moving_pass.beam_of(target["azimuth"].values, target["elevation"].values), 0, -1
+    )
+    geometry = target["geometry"].attrs
+    time = target["reading_time"].values[:, 0]
+    pulls, good = [], []
+    for _ in range(40):
+        made = target.drop_vars(
+            [name for name in target if name.startswith(("residual", "phase_unc"))]
+        ).copy(deep=True)
+        for name in made:
+            if name.startswith("common_"):
+                made[name].values[...] = 0.0
+        rate = rng.uniform(-SPEED, SPEED, time.shape[1:])
+        start = rng.uniform(1.0, 2.0, time.shape[1:])
+        pixel = target["time"].values
+        echo = moving_pass.echo_in_turn(
+            FREQUENCIES, start + rate * (time - pixel), beam,
+            np.asarray(geometry["receiver_position"]), geometry["group_index"],
+        )  # fmt: skip
+        sigma = 3e-3 * np.exp(rng.uniform(-1.5, 1.5, echo.shape))
+        noise = sigma * (
+            rng.standard_normal(echo.shape) + 1j * rng.standard_normal(echo.shape)
+        )
+        made["in_phase"].values[:, 0] = (echo + noise).real
+        made["quadrature"].values[:, 0] = (echo + noise).imag
+        for output in ("in_phase", "quadrature"):
+            made[f"{output}_uncertainty"].values[:, 0] = sigma
+        made["in_phase_quadrature_covariance"].values[...] = 0.0
+        image = imaging.range_image(made, interval=LIMITS)
+        usable = ~_flagged(image, DOUBTFUL) & np.isfinite(image["slant_range"].values)
+        weight = image["reading_weight"].values
+        instant = np.tensordot(weight, time - pixel, 1)
+        error = image["slant_range"].values - (start + rate * instant)
+        pulls.append((error / image["slant_range_uncertainty"].values)[usable])
+        good.append(usable.mean())
+    pulls = np.concatenate(pulls)
+    assert np.mean(good) >= 0.99
+    assert (np.abs(pulls) < 1).mean() == pytest.approx(0.683, abs=0.05)
+    assert (np.abs(pulls) < 1.96).mean() == pytest.approx(0.95, abs=0.025)
 
 
 def test_ranges_at_different_times_are_no_change_of_the_water(target):

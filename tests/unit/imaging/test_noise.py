@@ -68,6 +68,36 @@ def test_the_factor_is_found(seed: int, factor: float, count: int) -> None:
     assert found == pytest.approx(factor, rel=wide)
 
 
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_range_rates_of_a_vehicle_are_no_noise(factor: float) -> None:
+    """Paths change by 40 mm in the middle from the first to the last frequency."""
+    frequency = FREQUENCY[::4]
+    rng = np.random.default_rng(3)
+    turn = 2 * np.pi * frequency[:, None, None] / 299792458.0
+    motion = np.array([-0.02, -0.01, 0.01, 0.02])[:, None, None] * np.ones(SHAPE)
+    length = 5.0 + motion * rng.standard_normal(SHAPE)
+    phase = turn * length + factor * SIGMA * rng.standard_normal(motion.shape)
+
+    def fitted(scale: float) -> Path:
+        return optical_path(
+            np.angle(np.exp(1j * phase)),
+            np.full(phase.shape, scale * SIGMA),
+            modulation_frequency=frequency,
+            shortest=np.full(SHAPE, 4.5),
+            longest=np.full(SHAPE, 6.5),
+            motion=motion,
+        )
+
+    found = noise_scale(
+        fitted(1.0),
+        np.full(phase.shape, SIGMA),
+        path_per_phase=1 / turn,
+        refit=fitted,
+        motion=motion,
+    )
+    assert found == pytest.approx(factor, rel=0.15)
+
+
 @pytest.mark.parametrize("count", [4, 8])
 def test_tails_that_look_like_outliers_do_not_make_the_noise_smaller(
     count: int,

@@ -271,3 +271,35 @@ def test_rows_solved_by_the_choices_of_their_scan_are_those_of_the_whole(
         )
         for name, values in vars(part).items():
             assert_array_equal(values, getattr(whole, name)[..., rows])
+
+
+@pytest.mark.parametrize("left_out", [[], [1]])
+def test_a_path_rate_is_a_correlated_error_of_the_readings(left_out):
+    """Compared with generalized least squares by the inverse of the full covariance."""
+    rng = np.random.default_rng(4)
+    frequency = np.array([20e6, 35e6, 60e6, 90e6])
+    per_phase = speed_of_light / frequency / (2 * np.pi)
+    motion = np.array([-0.03, 0.01, 0.0, 0.05])
+    length = 8.0 + motion * 1.3
+    sigma = np.array([2e-3, 4e-3, 1e-3, 3e-3])
+    sigma[left_out] = np.inf
+    noise = np.where(np.isfinite(sigma), sigma, 0) * rng.standard_normal(4)
+    found = optical_path(
+        np.angle(np.exp(1j * (length / per_phase + noise)))[:, None],
+        sigma[:, None],
+        modulation_frequency=frequency,
+        shortest=np.array([5.0]),
+        longest=np.array([10.0]),
+        motion=motion[:, None],
+    )
+    used = np.isfinite(sigma)
+    paths = (length + noise * per_phase)[used]
+    covariance = np.diag((sigma * per_phase)[used] ** 2)
+    inverse = np.linalg.inv(covariance + np.outer(motion[used], motion[used]))
+    weight = inverse.sum(axis=0) / inverse.sum()
+    error = paths - weight @ paths
+    assert found.settled[0]
+    np.testing.assert_allclose(found.weight[used, 0], weight, atol=1e-9)
+    np.testing.assert_allclose(found.length, weight @ paths, rtol=1e-12)
+    np.testing.assert_allclose(found.uncertainty, inverse.sum() ** -0.5, rtol=1e-9)
+    np.testing.assert_allclose(found.strain, error @ inverse @ error, rtol=1e-6)
