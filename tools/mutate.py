@@ -18,8 +18,8 @@ real numbers, which no value meets exactly, are tried with `>`.
 
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
 run each change of the sample to a file. A campaign with `--covering FILE` then runs
-those tests, the nearest and the fastest first. A change whose budget ended before all
-of its tests is `survived` by `budget`.
+those tests: the short ones first, and of them the nearest. A change whose budget ended
+before all of its tests is `survived` by `budget`.
 """
 
 from __future__ import annotations
@@ -104,6 +104,8 @@ _OF_ALL = ("test_messages.py", "test_public_surface.py")
 _LISTINGS = ("tests/unit/test_public_surface.py",)
 #: Least budget of a change for which slow tests run, too [s].
 _LONG = 30.0
+#: Longest time of a test that is tried before all longer ones [s].
+_SHORT = 0.5
 #: Tests of `make check` that are not of `make test`.
 _LONGER = "slow and not study"
 _ARITHMETIC: dict[type, type] = {
@@ -659,8 +661,9 @@ def ordered(tests: dict[str, float], near: list[list[str]]) -> list[str]:
     Returns
     -------
     list of str
-        Files one after another, as near ones before others, then by their fastest
-        test; of a file the fast ones first.
+        Those of at most `_SHORT` first, so that one long test does not use up the
+        budget of many short ones. Then files one after another, as near ones before
+        others, then by their fastest test; of a file the fast ones first.
     """
     files = [file for stage in near for file in stage]
     rank = {file: number // 4 for number, file in enumerate(files)}
@@ -669,9 +672,10 @@ def ordered(tests: dict[str, float], near: list[list[str]]) -> list[str]:
         file = test.partition("::")[0]
         fastest[file] = min(seconds, fastest.get(file, math.inf))
 
-    def key(test: str) -> tuple[float, float, str, float]:
-        file = test.partition("::")[0]
-        return rank.get(file, math.inf), fastest[file], file, tests[test]
+    def key(test: str) -> tuple[bool, float, float, str, float]:
+        file, seconds = test.partition("::")[0], tests[test]
+        near_by = rank.get(file, math.inf)
+        return seconds > _SHORT, near_by, fastest[file], file, seconds
 
     return sorted(tests, key=key)
 

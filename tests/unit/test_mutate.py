@@ -120,9 +120,10 @@ def test_near_and_fast_tests_come_first(tool: ModuleType) -> None:
     }  # fmt: skip
     assert tool.ordered(tests, [["tests/near.py"]]) == [
         "tests/near.py::test_fast",
-        "tests/near.py::test_slow",
         "tests/other.py",
         "tests/far.py::test_a",
+        # Long tests wait until all short ones have had their turn.
+        "tests/near.py::test_slow",
     ]
 
 
