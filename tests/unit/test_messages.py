@@ -62,7 +62,7 @@ from amulor.survey import Mesh, Survey, files, scan
 from amulor.survey.surface import TabulatedSurface
 from amulor.survey.waters.named import SphereWater
 from amulor.transport.tally import Tally
-from amulor.view import figures
+from amulor.view import figures, pdf
 from amulor.view.explanations import reasons
 from amulor.view.page import measuring, space
 from amulor.view.page.notes import Notes
@@ -488,6 +488,11 @@ CASES: dict[str, Case] = {
         CubeError,
         "no cube was given; record the plate first",
     ),
+    "a calibration from two temperatures": (
+        lambda _: calibrate.from_temperatures([samples.cube("ladder")] * 2),
+        CubeError,
+        "2 cubes; at least 3 are needed, at different temperatures",
+    ),
     "a record that is too short": (
         lambda _: demodulate(np.zeros(11), sample_rate=1e6, frequencies=[1e5]),
         ValueError,
@@ -608,6 +613,17 @@ CASES: dict[str, Case] = {
         lambda path: figures.write_response_curves(path / "a.jpg", np.ones(1), {}),
         FormatError,
         r"a.jpg: pictures are written as .png or .svg; rename it",
+    ),
+    "a PDF file without trailer": (
+        lambda _: pdf._archival(b"%PDF-1.4\nstartxref\n9\n%%EOF\n", {}),
+        FormatError,
+        "matplotlib wrote a PDF file without a plain trailer",
+    ),
+    "a PDF file without catalog": (
+        lambda _: pdf._archival(
+            b"trailer\n<< /Root 1 0 R /Info 2 0 R /Size 3 >>\nstartxref\n9\n", {}),
+        FormatError,
+        "matplotlib wrote a PDF file without a catalog",
     ),
     "an axis of no length": (
         lambda _: measuring._axis((0, 0, 0)),

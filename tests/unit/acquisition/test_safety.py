@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from shared_light import scene_light
 
 from amulor import acquisition
+from amulor.acquisition import connect as connecting
 from amulor.acquisition import plan, run
 from amulor.acquisition.connect import OperatorTargetStage, connect
 from amulor.acquisition.journal.journal import Journal
@@ -237,3 +240,18 @@ def test_a_journal_that_can_no_longer_be_written_ends_the_scan_safely(
     assert acquisition.acquire(
         small, folder, settings=settings, resume=True, scene=scene_light
     ).finished
+
+
+def test_the_link_of_a_laser_that_does_not_answer_is_closed(monkeypatch) -> None:
+    closed = []
+
+    def silent(*_: object) -> None:
+        raise InstrumentError("no answer")
+
+    link = SimpleNamespace(close=lambda: closed.append(True))
+    monkeypatch.setattr(connecting, "linked", lambda part: link)
+    monkeypatch.setattr(connecting, "ScpiLaser", silent)
+    settings: Any = SimpleNamespace(laser=SimpleNamespace(driver="scpi"))
+    with pytest.raises(InstrumentError, match="no answer"):
+        connecting._laser(settings, cast(Any, None), cast(Any, None))
+    assert closed == [True]

@@ -272,3 +272,31 @@ def test_ranges_repeat_at_the_smallest_frequency_or_difference() -> None:
     tone = speed_of_light / (2 * 1.38 * 1.0)
     sets = np.array([[tone, 2 * tone], [np.nan, 2.5 * tone]])
     assert_allclose(_repetition(sets, 1.38), [1.0, 2.0], rtol=1e-12)
+
+
+def test_elements_of_mueller_matrices_as_axes_are_those_of_a_survey(tank) -> None:
+    options = {"polarization": ["VV", "VH"], "distance": [1.0, 2.0]}
+    stated = evaluate(tank, **options)
+    same = evaluate(tank, target_m22=0.4, water_m22=0.85, **options)
+    assert_allclose(same["total_error"], stated["total_error"], rtol=1e-9)
+    white = tank.with_({"targets.0.mueller": "ideal-depolarizer"})
+    none = evaluate(tank, target_m22=0.0, **options)
+    assert_allclose(
+        none["total_error"], evaluate(white, **options)["total_error"], rtol=1e-9
+    )
+    assert np.all(abs(none["total_error"] / stated["total_error"] - 1) > 0.01)
+
+
+def test_an_analyzer_passes_half_of_the_daylight(tank) -> None:
+    lit = tank.with_(
+        {
+            "daylight": {"radiance": "0.01 W/m^2/sr/nm", "bandwidth": "3 nm"},
+            "targets.0.mueller": "ideal-depolarizer",
+        }
+    )
+    bare, behind = (
+        float(evaluate(lit, polarization=pair, method="none")["daylight"])
+        for pair in ("none", "VH")
+    )
+    # Half of the noise's square, and half of the echo of an ideal depolarizer.
+    assert behind / bare == pytest.approx(np.sqrt(0.5) / 0.5, rel=0.01)

@@ -9,6 +9,7 @@ import paper_goal
 import pytest
 
 from amulor.design import Goal, Parameters, recommend
+from amulor.design.candidates import box_values, scan_time
 from amulor.design.scores import Judge, merits
 from amulor.design.trade import trade, what_if
 
@@ -70,3 +71,11 @@ def test_a_trade_holds_the_recommended_one() -> None:
     assert set(found.top_frequency) == {36.8e6, 39e6, 138e6}
     own = found.top_frequency == 39e6
     assert np.all(np.diff(found.error[own]) <= 1e-9)
+    # Dwell times beyond those of the goal, on both sides.
+    box = box_values(goal.components.dwell)
+    times = [
+        scan_time(goal, replace(best.parameters, dwell=dwell))
+        for dwell in (0.5 * box[0], 2 * box[-1])
+    ]
+    assert found.scan_time[own].min() < times[0]
+    assert found.scan_time[own].max() > times[1]

@@ -242,3 +242,13 @@ def test_the_plan_states_the_error_of_the_whole_site(site, drawings) -> None:
     stated = re.search(r"of the whole site, (\S+) mm", words)
     assert stated is not None, words
     assert float(stated[1]) == pytest.approx(1e3 * largest, rel=0.05)
+
+
+def test_the_largest_ellipse_is_some_millimeters_large_on_paper(drawings) -> None:
+    texts = " ".join(texts_of(drawings / "site_plan.svg"))
+    (factor,) = re.findall(r"error ellipses \(k = 1, x ([\d.e+]+)\)", texts)
+    (scale,) = set(re.findall(r"1:(\d+) on A\d", texts))
+    # The poses have no errors; 1 nm is the smallest that is shown.
+    paper = float(factor) * 1e-9 / float(scale)
+    # To be seen, and smaller than the fields of the drawing.
+    assert 2e-3 < paper < 1e-2

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import xarray as xr
 
 from amulor import Survey, imaging, rejection
 from amulor.cube import DOUBTFUL
+from amulor.imaging import surroundings
 from amulor.simulation import simulate
 
 DISTANCE, EDGE = 1.5, 0.05
@@ -105,3 +108,72 @@ def test_rows_state_the_term_of_the_whole_scan(stripe):
     whole, fit = fitted_range_image(stripe, **options)
     row, _ = fitted_range_image(stripe.isel(row=slice(1, 2)), fit=fit, **options)
     np.testing.assert_allclose(row[TERM], whole[TERM][1:2], rtol=0.05, atol=5e-5)
+
+
+def pixel(survey: Survey | None, **attributes: object) -> SimpleNamespace:
+    """Return the observation of a pixel at two frequencies."""
+    return SimpleNamespace(
+        channel=xr.Dataset(attrs=attributes),
+        survey=survey,
+        geometry=SimpleNamespace(
+            emitter=np.zeros(3), beam=SimpleNamespace(direction=np.ones((1, 1, 3)))
+        ),
+        sigma=np.array([1e-3, 2e-3]).reshape(2, 1, 1),
+        path_per_phase=np.array([0.5, 0.25]).reshape(2, 1, 1),
+    )
+
+
+#: Share of the light from equal surroundings and light of the real ones, by frequency.
+SHARE = np.array([0.2 - 0.05j, 0.18 - 0.1j])
+LIGHT = np.array([0.3 - 0.1j, 0.25 - 0.2j])
+
+
+def error_of(monkeypatch, surface: float, **changes: object) -> float | None:
+    """Return the range error [m] of a pixel with a surface of given brightness."""
+    bright = surface * (1 - SHARE[0].real) + LIGHT[0].real
+    monkeypatch.setattr(
+        surroundings, "echo_over_white", lambda *_, **__: np.array([[bright]])
+    )
+    monkeypatch.setattr(
+        surroundings, "_near", lambda *_: (np.zeros((1, 1), int), np.ones((1, 1)))
+    )
+    fit = surroundings.SurroundingLight(
+        direction=np.ones((1, 3)), share=SHARE[:, None], light=LIGHT[:, None],
+        matters=True,
+    )  # fmt: skip
+    error, _ = surroundings.surroundings_error(
+        pixel(Survey.from_toml(HARBOUR)), np.array([[1.5]]),
+        weight=np.array([0.25, 0.75]), slope=np.array([[2.0]]),
+        noise=np.array([[1e-4]]), fit=replace(fit, **changes),
+    )  # fmt: skip
+    return None if error is None else float(error[0, 0])
+
+
+def test_late_light_turns_the_phase_of_the_own_echo(monkeypatch):
+    for surface in (0.05, 0.6):
+        turned = np.angle(surface * (1 - SHARE) + LIGHT)
+        expected = 2.0 * abs(0.25 * 0.5 * turned[0] + 0.75 * 0.25 * turned[1])
+        assert error_of(monkeypatch, surface) == pytest.approx(expected, rel=1e-12)
+    # A surface as bright as its surroundings gets no error: its light is their share.
+    alike = LIGHT[0].real / SHARE[0].real
+    assert error_of(monkeypatch, alike) == 0
+    assert error_of(monkeypatch, 0.05, matters=False) is None
+
+
+def test_nothing_scatters_light_onto_a_target(monkeypatch):
+    survey = Survey.from_toml(HARBOUR)
+    clear = {"water": {"absorption": 0.1, "scattering": 0.0, "refractive_index": 1.34,
+                       "group_index": 1.38}}  # fmt: skip
+    moved = pixel(survey)
+    moved.geometry.emitter = np.array([[0.0, 0, 0], [1, 0, 0]])
+    for observation in (
+        pixel(None),
+        pixel(survey, surroundings_light="absent"),
+        pixel(survey, simulated=1),
+        pixel(survey.with_(clear)),
+        moved,
+    ):
+        assert surroundings.surroundings_error(
+            observation, np.array([[1.5]]), weight=np.ones(2),
+            slope=np.ones((1, 1)), noise=np.full((1, 1), 1e-4),
+        ) == (None, None)  # fmt: skip

@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 import pytest
 
+from amulor._las import check_counts
 from amulor.errors import CubeError, FormatError, MissingExtraError
 from amulor.io import write_laz
 from amulor.io.laz import SCALE, read_laz, write_laz_parts
@@ -327,3 +328,53 @@ def test_a_slim_file_has_fewer_than_24_extra_bytes(point_cloud, path):
             found[f"sigma_{axis}"], cloud[f"{axis}_uncertainty"], rtol=2**-23
         )
         assert error(found[axis], cloud[axis]) <= SCALE / 2 + 1e-14
+
+
+def las_of(size, *, minor, records=0, count=0, extended=0, packed=False):
+    """Return the bytes of a LAS file of `size` bytes with counts of its header.
+
+    One record of 54 bytes lies before the points. Points have 28 bytes. The extended
+    records begin 60 bytes before the end of the file.
+    """
+    content = bytearray(size)
+    content[:4], content[25] = b"LASF", minor
+    form = 6 | 0x80 * packed
+    struct.pack_into("<HIIBHI", content, 94, 375, 375 + 54, records, form, 28, count)
+    if minor >= 4:
+        struct.pack_into("<QIQ", content, 235, size - 60, extended, count)
+    return bytes(content)
+
+
+@pytest.mark.parametrize("minor", [3, 4])
+@pytest.mark.parametrize(
+    ("most", "noun"), [("records", "records"), ("count", "points")]
+)
+def test_a_header_may_declare_what_there_is_room_for(tmp_path, minor, most, noun):
+    path = tmp_path / "a.las"
+    fits = {"records": 1, "count": 3}
+    for size in (375 + 54 + 3 * 28, 375 + 54 + 4 * 28 - 1):
+        path.write_bytes(las_of(size, minor=minor, **fits))
+        check_counts(path)
+        more = fits | {most: fits[most] + 1}
+        path.write_bytes(las_of(size, minor=minor, **more))
+        with pytest.raises(FormatError, match=f"declares {more[most]} {noun} of at"):
+            check_counts(path)
+
+
+def test_extended_records_exist_from_version_1_4_on(tmp_path):
+    path = tmp_path / "a.las"
+    path.write_bytes(las_of(800, minor=4, extended=1))
+    check_counts(path)
+    path.write_bytes(las_of(800, minor=4, extended=2))
+    with pytest.raises(FormatError, match="2 extended records of at least 60 bytes"):
+        check_counts(path)
+    path.write_bytes(las_of(800, minor=3, extended=2))
+    check_counts(path)
+
+
+def test_compressed_points_and_other_files_are_not_counted(tmp_path):
+    path = tmp_path / "a.laz"
+    path.write_bytes(las_of(800, minor=4, count=10**6, packed=True))
+    check_counts(path)
+    path.write_bytes(b"ply\n" + las_of(800, minor=4, count=10**6)[4:])
+    check_counts(path)

@@ -127,6 +127,7 @@ def test_the_column_behind_the_target_is_put_back(plate_text: str) -> None:
         "from the survey": {"column_uncertainty": 0.2},
     }.items():
         target = rejection.open_water(cube, **options)
+        assert ("put back" in target.attrs["history"]) == (name != "stated")
         image = imaging.range_image(target, polarization="VV")
         found = abs(image["slant_range"] - image["truth_slant_range"])
         error[name], bias[name] = float(found.mean()), image["slant_range_bias"]

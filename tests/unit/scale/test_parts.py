@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import xarray as xr
 
 from amulor import io
-from amulor.scale import parts
-from amulor.scale.tasks import Task
+from amulor.scale import parts, site_run
+from amulor.scale.tasks import Done, Task
 
 WHEN = "2026-05-04T12:30:00Z"
 
@@ -63,3 +65,43 @@ def test_parts_joined_are_the_whole_and_replace_an_old_file(task: Task) -> None:
     xr.testing.assert_identical(content(path), whole)
     parts.forget_parts(step)
     assert not (folder / "parts").exists()
+
+
+@pytest.mark.parametrize("fault", ["", "the disk is full"])
+def test_a_scan_goes_on_after_the_last_of_its_parts(task: Task, fault: str) -> None:
+    samples, step, *_ = parts.chain(task)
+    parts.whole(samples, Path(task.folder) / samples.name)
+    orders: list[tuple[Any, ...]] = []
+    waiting: list[Any] = []
+
+    def submit(function: Any, _: Task, *words: object, **options: object) -> object:
+        orders.append((function.__name__, *words))
+        return SimpleNamespace(key=str(len(orders)))
+
+    def answer(number: int, value: object) -> Done | None:
+        waiting[number].result = lambda: value
+        return spread.after(waiting[number], "")
+
+    client = SimpleNamespace(submit=submit)
+    spread = site_run._Spread(client, SimpleNamespace(add=waiting.append))
+    spread.begin(task, [step.name])
+    assert orders == [("is_made", step.name)]
+    assert answer(0, False) is None
+    rows = [("work_on_rows", step.name, 0, 2), ("work_on_rows", step.name, 2, 4)]
+    assert orders[1:] == rows
+    assert answer(2, fault) is None
+    assert len(orders) == 3
+    if fault:
+        stopped = Done(name="scan", files={}, made=(), error=fault)
+        assert answer(1, "") == stopped
+        assert len(orders) == 3
+        return
+    assert answer(1, "") is None
+    assert orders[3:] == [("work", step.name)]
+    one = Done(name="scan", files={}, made=("a",), error="")
+    assert answer(3, one) is None
+    assert orders[4:] == [("work",)]
+    last = Done(name="scan", files={"c": "d"}, made=("b",), error="")
+    assert answer(4, last) == Done(
+        name="scan", files={"c": "d"}, made=("a", "b"), error=""
+    )

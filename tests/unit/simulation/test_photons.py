@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -239,3 +240,27 @@ def test_an_axis_that_spans_little_has_no_polynomials_to_fit() -> None:
     # The other axis has 2.5 of them, degree 1: five products up to a degree of 2, and
     # four that test them.
     assert (both[1], both[0].shape[1]) == (5, 9)
+
+
+def test_air_before_the_water_absorbs_nothing() -> None:
+    def echo(standoff: float, absorption: float) -> complex:
+        setting = photons.Setting(
+            absorption=absorption, scattering=0.0, group_index=1.33,
+            phase_function=henyey_greenstein_function(asymmetry=0.9),
+            receiver_radius=0.02, acceptance_angle=0.05,
+        )  # fmt: skip
+        place = photons.Place(
+            baseline=0.05, tilt=0.02, cross_tilt=0.0,
+            standoff=standoff, depth=2.0 - standoff, reflectance=0.5,
+        )  # fmt: skip
+        frequency = np.array([0.0])
+        light = photons.follow(setting, place, frequency, histories=20_000, seed=1)
+        return complex(light.target[0])
+
+    # As far from the receiver, a metre of it in air or not. Chance leaves 1 %.
+    in_air, in_water = echo(1.0, 1e-9), echo(0.0, 1e-9)
+    assert abs(in_water) > 0
+    assert in_air == pytest.approx(in_water, rel=0.04)
+    # Of 2 m there and back, 1 m is water each way.
+    assert abs(echo(0.0, 0.3) / in_water) == pytest.approx(math.exp(-1.2), rel=0.04)
+    assert abs(echo(1.0, 0.3) / in_air) == pytest.approx(math.exp(-0.6), rel=0.04)

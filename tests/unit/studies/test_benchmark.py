@@ -324,10 +324,16 @@ def test_a_file_of_scenes_is_an_option(
         'distance = 2.5\nlayout = "empty"\n'
     )
     out = tmp_path / "out"
+    out.mkdir()
+    # Figure and page of an earlier run are replaced.
+    for name in ("benchmark.svg", "benchmark.md"):
+        (out / name).write_text("earlier")
     words = ["benchmark", "--scenes", str(path), "--methods", "none", "-o", str(out)]
     assert main(words) == 0
     printed = capsys.readouterr().out
     assert "mine" in printed
+    assert "earlier" not in (out / "benchmark.md").read_text("utf-8")
+    assert "<svg" in (out / "benchmark.svg").read_text("utf-8")
     assert sorted(file.name for file in out.iterdir()) == [
         "benchmark.csv",
         "benchmark.md",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import dataclasses
 import math
 import signal
 import threading
@@ -488,6 +489,28 @@ def test_the_uncompiled_batch_gives_the_same_record(milk, monkeypatch, shape):
     assert np.any(compiled.signal[-1] != 0)
     np.testing.assert_allclose(plain.signal, compiled.signal, rtol=1e-9, atol=1e-18)
     np.testing.assert_allclose(plain.weight, compiled.weight, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("gloss", "slope"), [(0.0, 0.2), (0.3, 0.2), (0.3, 0.4)])
+def test_light_of_a_target_that_touches_a_path_is_that_of_its_brdf(milk, gloss, slope):
+    target = PlaneTarget(
+        position=(0, 0, 1.0), reflectance=0.6, gloss=gloss, rms_slope=slope
+    )
+    receiver = DiscReceiver(radius=0.1, acceptance_angle=0.3)
+    problem = Problem(medium=milk, source=Source(), receiver=receiver, target=target)
+    # A cone of 0.3 rad has pi sin(0.3)^2 sr of projected solid angle. The BRDF is that
+    # of Lambert and of facets of slope s that face both: F / (4 pi 2 s^2).
+    brdf = 0.6 / np.pi + gloss / (8 * np.pi * slope**2)
+    expected = np.pi * np.sin(0.3) ** 2 * brdf
+    np.testing.assert_allclose(problem.joined_touch, expected, rtol=1e-12)
+    clear = Medium.homogeneous(
+        absorption=0.1,
+        scattering=0.0,
+        group_index=1.33,
+        phase_function=milk.layers[0].phase_function,
+    )
+    for changes in ({"target": None}, {"medium": clear}):
+        assert dataclasses.replace(problem, **changes).joined_touch == 0
 
 
 def test_rows_of_paths_that_are_full_become_more(peaked_water):
