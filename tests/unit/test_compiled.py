@@ -407,3 +407,46 @@ def test_no_file_of_the_package_takes_its_loops_from_numba_itself() -> None:
         if "numba.njit(" in words and "from amulor._compiled import numba" not in words
     ] == []
     assert not [path for path, words in text.items() if "from numba import" in words]
+
+
+def test_code_of_a_former_source_is_removed(tmp_path: Path) -> None:
+    stored = tmp_path / "stored"
+    stored.mkdir()
+    former = stored / "loop.one-3.0000.py311.nbi"
+    others = [
+        stored / "loop.two-3.0000.py311.nbi",
+        stored / "loop.one-3.1111.py311.nbc",
+    ]
+    for path in (former, *others):
+        path.touch()
+
+    class Place:
+        def ensure_cache_path(self) -> None:
+            """Make the folder, as numba does."""
+
+        def get_cache_path(self) -> str:
+            return str(stored)
+
+    place = _compiled._fresh(Place, tmp_path)()
+    place.ensure_cache_path()
+    assert former.exists()
+    place._function, place._digest = "loop.one-", "1111"
+    place.ensure_cache_path()
+    assert not former.exists()
+    assert all(path.exists() for path in others)
+
+
+def test_a_folder_of_its_own_serves_where_others_can_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(_compiled.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(_compiled, "_only_written_by", lambda *_: False)
+    place = _compiled._temporary_folder.__wrapped__()
+    assert place.is_dir()
+    assert place.parent == tmp_path
+    assert place.name != f"amulor-compiled-{os.getuid()}"
+    assert "others can write in" in caplog.text
+    monkeypatch.setattr(_compiled, "_only_written_by", lambda *_: True)
+    kept = _compiled._temporary_folder.__wrapped__()
+    assert kept == tmp_path / f"amulor-compiled-{os.getuid()}"
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o700

@@ -543,3 +543,22 @@ def test_contours_are_10_mm_apart_unless_stated(monkeypatch, stated, interval) -
     assert drawings.contours("raster", order, ("", [])) == (
         "raster", (interval,), interval, order, ("", [])
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("spacing", "cell"),
+    [(0.9e-3, 1e-3), (1.3e-3, 1e-3), (1.6e-3, 2e-3), (4e-3, 5e-3), (7.5e-3, 1e-2)],
+)
+def test_a_cell_is_round_and_near_the_spacing_of_pixels(spacing, cell) -> None:
+    surface = SimpleNamespace(spacing=spacing)
+    order = Order(product="heights")
+    assert drawings.cell_of(order, surface, 10.0) == pytest.approx(cell, rel=1e-12)
+    stated = replace(order, cell=0.123)
+    assert drawings.cell_of(stated, surface, 10.0) == 0.123
+
+
+def test_a_cell_of_an_orthoimage_is_a_dot_on_paper() -> None:
+    # A hundred dots per inch at 1:10 are 2.54 mm of the object.
+    order = Order(product="orthoimage", dots_per_inch=100.0)
+    cell = drawings.cell_of(order, SimpleNamespace(spacing=1.0), 10.0)
+    assert cell == pytest.approx(2.54e-3, rel=1e-12)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
 
 from amulor import io
-from amulor._hdf5 import check_small
+from amulor._hdf5 import check_heaps, check_heaps_of, check_size, check_small
 from amulor.cube import tiles
 from amulor.errors import AmulorError, CubeError, FormatError
 from amulor.io import netcdf
@@ -258,3 +262,114 @@ def test_other_damage_is_left_to_the_reader(path, content):
     check_small(path)
     with pytest.raises(FormatError):
         io.read_cube(path)
+
+
+def heap_of(sizes, free=16, lost=0):
+    """Return a global heap as the format of HDF5 states it, with free space at its end.
+
+    Each object has an index, references and its size, and content up to a multiple of 8
+    bytes. `lost` bytes are missing in the size of the heap.
+    """
+    parts = [
+        number.to_bytes(2, "little") + bytes(6) + size.to_bytes(8, "little")
+        + b"x" * (size + -size % 8)
+        for number, size in enumerate(sizes, 1)
+    ]  # fmt: skip
+    content = b"".join(parts)
+    if free:
+        content += bytes(8) + free.to_bytes(8, "little") + bytes(free - 16)
+    size = 16 + len(content) - lost
+    return b"GCOL" + bytes([1, 0, 0, 0]) + size.to_bytes(8, "little") + content
+
+
+SIZES = st.lists(st.integers(0, 70), min_size=1, max_size=6)
+
+
+@given(SIZES, SIZES, st.integers(0, 5))
+def test_heaps_that_their_objects_fill_are_accepted(tmp_path_factory, one, two, free):
+    path = tmp_path_factory.mktemp("heap") / "heap"
+    content = b"before" + heap_of(one, 16 + 8 * free) + b"between" + heap_of(two, 0)
+    check_heaps(content, path)
+    path.write_bytes(content)
+    check_heaps_of(path)
+    # Less than the head of an object may be left at the end of a heap.
+    check_heaps(heap_of(one) + bytes(9), path)
+
+
+@given(SIZES, SIZES, st.integers(1, 7))
+def test_a_heap_that_its_objects_do_not_fill_is_refused(
+    tmp_path_factory, one, two, lost
+):
+    path = tmp_path_factory.mktemp("heap") / "heap"
+    content = heap_of(one) + heap_of([*two, 100], 0, lost=8 * lost)
+    with pytest.raises(FormatError, match=f"at byte {len(heap_of(one))} is not filled"):
+        check_heaps(content, path)
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match="is not filled by its objects"):
+        check_heaps_of(path)
+
+
+def test_free_space_without_size_is_refused(path):
+    content = bytearray(heap_of([8], 32))
+    content[-24] = 0
+    with pytest.raises(FormatError, match="at byte 0 is not filled"):
+        check_heaps(bytes(content), path)
+
+
+def test_variables_in_other_files_are_refused(path):
+    with h5py.File(path, "w") as storage:
+        storage.create_dataset("a", (4,), "f8", external=[("b.bin", 0, 32)])
+        with pytest.raises(FormatError, match="'a' refers to the content of other"):
+            check_size(storage, path)
+    with h5py.File(path, "w") as storage:
+        layout = h5py.VirtualLayout((4,), "f8")
+        layout[:] = h5py.VirtualSource("b.h5", "x", (4,))
+        storage.create_virtual_dataset("c", layout)
+        with pytest.raises(FormatError, match="'c' refers to the content of other"):
+            check_size(storage, path)
+
+
+def test_what_is_declared_and_not_stored_has_a_largest_size(path):
+    most, total = 2**28, 2**31
+    with h5py.File(path, "w") as storage:
+        for number in range(total // most):
+            storage.create_dataset(f"v{number}", (most,), "u1", chunks=(2**20,))
+        check_size(storage, path)
+        # A variable that is stored needs no room among them.
+        storage["stored"] = np.zeros(10)
+        check_size(storage, path)
+        storage.create_dataset("more", (1,), "u1", chunks=(1,))
+        with pytest.raises(FormatError, match="of which the file holds 0 bytes"):
+            check_size(storage, path)
+    with h5py.File(path, "w") as storage:
+        storage.create_dataset("large", (most + 1,), "u1", chunks=(2**20,))
+        with pytest.raises(FormatError, match=f"'large' has the shape .{most + 1},"):
+            check_size(storage, path)
+
+
+def test_a_tile_has_the_rows_of_a_quarter_of_a_million_samples():
+    head = xr.Dataset(coords={"modulation_frequency": [1.0, 2.0], "polarization": [0]})
+    for columns, rows in ((2**10, 128), (2**16, 2), (2**20, 1)):
+        source = SimpleNamespace(head=head, rows=300, columns=columns)
+        assert tiles.samples_of_row(source) == 2 * columns
+        expected = [(k, min(k + rows, 300)) for k in range(0, 300, rows)]
+        assert list(tiles.bands(source)) == expected
+        assert list(tiles.bands(source, 299)) == [(0, 299), (299, 300)]
+
+
+@given(st.integers(1, 4000), st.integers(1, 600))
+def test_bands_are_spread_from_end_to_end(size, count):
+    index, bands, gaps = tiles._spread_bands(size, count)
+    inside = [n for begin, end in bands for n in range(begin, end)]
+    assert inside == sorted(set(inside))
+    assert inside[0] == 0
+    # One separator stands between two bands, which are at least two apart.
+    assert len(gaps) == len(bands) - 1
+    assert np.delete(index, gaps).tolist() == inside
+    assert all(after[0] > one[1] + 1 for one, after in itertools.pairwise(bands))
+    if count >= size:
+        assert bands == [(0, size)]
+    else:
+        assert len(inside) <= count
+        # Bands have 8 rows or more; a single one is at the begin.
+        assert inside[-1] == size - 1 or count < 16

@@ -5,14 +5,18 @@ import dataclasses
 import moving_pass
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from amulor._attitude import rotation_by
 from amulor.platform import (
     Mounting,
     Trajectory,
     instrument_poses,
     mean_instrument_poses,
+    read_mounting,
     rotation_of,
 )
+from amulor.platform.mounting import mounting_text
 
 TIME = np.linspace(0.0, 20.0, 201)
 
@@ -23,6 +27,14 @@ def _course(time):
         [3 * np.sin(0.1 * time), 0.2 * time, -8 + 0.1 * np.sin(0.5 * time)], axis=-1
     )
     return place, 0.05 * time, 0.03 * np.sin(0.8 * time), 0.05 * np.cos(0.6 * time)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 0.3, 2.0, 3.1])
+def test_a_rotation_vector_turns_as_scipy_does(size):
+    vector = np.random.default_rng(7).normal(size=3)
+    vector *= size / np.linalg.norm(vector)
+    expected = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(rotation_by(vector), expected, rtol=0, atol=1e-14)
 
 
 def _track(time=TIME, **options):
@@ -302,3 +314,19 @@ def test_a_cubic_course_at_uneven_times_has_no_departures():
     np.testing.assert_allclose(np.abs(moved[row, 1]), 0.01, rtol=0.3)
     np.testing.assert_allclose(moved[:, [0, 2]], 0, atol=1e-9)
     assert np.count_nonzero(np.abs(moved[:, 1]) > 1e-9) == 5
+
+
+def test_a_mounting_is_written_to_a_thousandth_of_its_uncertainties(tmp_path):
+    path = tmp_path / "rov.toml"
+    mounting = Mounting(
+        lever_arm=(0.123456789, -1.23456789, 12.3456789),
+        lever_arm_uncertainties=(0.002, 0.02, 0.3),
+        heading=0.123456789, clock_offset=0.123456789, clock_uncertainty=0.004,
+    )  # fmt: skip
+    path.write_text(mounting_text(mounting))
+    assert read_mounting(path) == mounting.model_copy(
+        update={
+            "lever_arm": (0.123457, -1.23457, 12.3457),
+            "clock_offset": 0.123457,
+        }
+    )

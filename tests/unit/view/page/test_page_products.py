@@ -291,3 +291,37 @@ def test_an_image_that_is_read_in_bands_says_which_command_to_use(
     answer = ask(served(shown, products=maker), product="cloud")
     assert answer.status_code == 422
     assert "use amulor export" in answer.json()["error"]
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "low", "high"),
+    [
+        ("cell", "cell", 1e-5, 1.0),
+        ("contours", "contours", 1e-5, 10.0),
+        ("farthest", "farthest", 1e-6, 100.0),
+        ("scale", "scale", 0.1, 1e4),
+        ("dpi", "dots_per_inch", 10.0, 1200.0),
+    ],
+)
+def test_numbers_of_an_order_have_limits(maker, name, field, low, high) -> None:
+    image: Any = None
+    for value in (low, high):
+        order = maker._order("mesh", {name: value}, image, image)
+        assert getattr(order, field) == value
+    for value in (0.99 * low, 1.01 * high, -high, float("nan")):
+        with pytest.raises(CubeError, match=f"^{name} must be from {low:g} to "):
+            maker._order("mesh", {name: value}, image, image)
+    for word in (True, "1", [1.0]):
+        with pytest.raises(CubeError, match=f"^{name} must be a number"):
+            maker._order("mesh", {name: word}, image, image)
+
+
+def test_what_an_order_leaves_out_has_its_usual_value(maker) -> None:
+    image: Any = None
+    order = maker._order("mesh", {}, image, image)
+    assert (order.product, order.side) == ("mesh", "front")
+    assert (order.cell, order.contours, order.farthest, order.scale) == (None,) * 4
+    assert order.dots_per_inch == 300
+    assert maker._order("mesh", {"side": "top"}, image, image).side == "top"
+    with pytest.raises(CubeError, match="side must be one of front, top"):
+        maker._order("mesh", {"side": "left"}, image, image)
