@@ -19,7 +19,8 @@ real numbers, which no value meets exactly, are tried with `>`.
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
 run each change of the sample to a file. A campaign with `--covering FILE` then runs
 those tests: the short ones first, and of them the nearest. A change whose budget ended
-before all of its tests is `survived` by `budget`.
+before all of its tests is `survived` by `budget`. `--part 1/2` tries every second
+change; run the parts at once, each with `--results` of its own.
 """
 
 from __future__ import annotations
@@ -854,6 +855,7 @@ def main() -> int:
     parser.add_argument("--cover", nargs="+", help="write that file: tests to run")
     parser.add_argument("--results", type=Path, default=RESULTS, help="table")
     parser.add_argument("--shares", type=Path, help="table of shares to write (CSV)")
+    parser.add_argument("--part", default="1/1", help="of the changes, such as 1/2")
     parser.add_argument("--again", action="store_true", help="all survivors")
     words = parser.parse_args()
     by_folder: dict[str, list[Mutant]] = {}
@@ -880,6 +882,8 @@ def main() -> int:
             seed = earlier.get(mutant.key, {}).get("seed", str(words.seed))
             earlier[mutant.key] = _row(mutant, "equivalent", Outcome(), seed)
     waiting = [m for m in drawn if words.again or m.key not in earlier]
+    part, parts = map(int, words.part.split("/"))
+    waiting = waiting[part - 1 :: parts]
     deadline = time.monotonic() + 60 * words.minutes
     os.environ |= {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     if tests:
