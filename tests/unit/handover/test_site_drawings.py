@@ -20,7 +20,7 @@ from pdf_archive import archive_faults
 from pdf_files import letter_sizes, pages_of
 
 from amulor.cli import main
-from amulor.handover.site_drawings import _ellipse
+from amulor.handover.site_drawings import _cross, _ellipse, _middle_lines, _tiles
 from amulor.site import Site
 from amulor.site.registration.result import read_registration, write_registration
 from amulor.view.sheet import Station, error_ellipse
@@ -252,3 +252,37 @@ def test_the_largest_ellipse_is_some_millimeters_large_on_paper(drawings) -> Non
     paper = float(factor) * 1e-9 / float(scale)
     # To be seen, and smaller than the fields of the drawing.
     assert 2e-3 < paper < 1e-2
+
+
+def test_a_station_is_a_cross_of_four_millimeters_with_its_name_once() -> None:
+    first, second = _cross(np.array([3.0, 4.0]), "b1", "stations", 50.0)
+    np.testing.assert_allclose(first.points, [[2.9, 4.0], [3.1, 4.0]])
+    np.testing.assert_allclose(second.points, [[3.0, 3.9], [3.0, 4.1]])
+    assert (first.label, second.label) == ("b1", "")
+    assert first.layer == second.layer == "stations"
+
+
+def test_sections_of_a_site_cross_in_its_middle_the_longer_one_first() -> None:
+    # 3 % of the longer side beyond each end.
+    assert _middle_lines(0.0, 10.0, 1.0, 5.0) == (
+        (-0.3, 3.0, 10.3, 3.0),
+        (5.0, 0.7, 5.0, 5.3),
+    )
+    assert _middle_lines(0.0, 4.0, 0.0, 10.0)[0] == (2.0, -0.3, 2.0, 10.3)
+
+
+def test_details_cover_a_site_from_the_north_west_on() -> None:
+    window = (10.0, 16.0, 0.0, 4.0)
+    assert _tiles(None, 50.0, window) == []
+    assert _tiles(50.0, 50.0, window) == []
+    # All of it fits one sheet.
+    assert _tiles(40.0, 50.0, window) == []
+    parts = _tiles(10.0, 50.0, window)
+    assert parts[0][0] == 10.0
+    assert parts[0][3] == 4.0
+    assert parts[-1][1] == 16.0
+    assert parts[-1][2] == 0.0
+    area = sum((east - west) * (north - south) for west, east, south, north in parts)
+    assert area == pytest.approx(24.0)
+    # Each fits A3 at 1:10, of 420 by 297 mm.
+    assert all(e - w < 4.2 and n - s < 2.97 for w, e, s, n in parts)

@@ -78,10 +78,18 @@ def test_late_messages_at_the_times_of_others_are_a_step_back():
         _read(_messages(stamps, TIME))
 
 
-def test_two_poses_of_one_time_are_refused():
+@pytest.mark.parametrize("part", ["position", "attitude", "both"])
+def test_two_poses_of_one_time_are_refused(part):
     stamps = np.insert(TIME, 50, TIME[49])
+    # Message 51 has the pose, or a part of it, of another time.
+    other, same = (np.insert(TIME, 50, time) for time in (5.0, TIME[49]))
+    messages = _messages(
+        stamps,
+        position=_place(same if part == "attitude" else other),
+        attitude=_turn(same if part == "position" else other),
+    )
     with pytest.raises(FormatError, match="line 51: has the time stamp of line 50 but"):
-        _read(_messages(stamps, np.insert(TIME, 50, 5.0)))
+        _read(messages)
 
 
 def test_an_attitude_that_jumps_is_refused():

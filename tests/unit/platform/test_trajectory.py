@@ -16,9 +16,11 @@ from amulor.platform import (
     read_mounting,
     rotation_of,
 )
-from amulor.platform.mounting import mounting_text
+from amulor.platform.mounting import error_factors, mounting_text, with_covariance
 
 TIME = np.linspace(0.0, 20.0, 201)
+#: A shift to the east of 2 mm that comes with a turn about up of 1 mrad.
+COVARIANCE = np.outer([2e-3, 0, 0, 0, 0, 1e-3], [2e-3, 0, 0, 0, 0, 1e-3])
 
 
 def _course(time):
@@ -330,3 +332,40 @@ def test_a_mounting_is_written_to_a_thousandth_of_its_uncertainties(tmp_path):
             "clock_offset": 0.123457,
         }
     )
+
+
+def test_a_mounting_has_the_covariance_that_is_given_to_it():
+    rng = np.random.default_rng(3)
+    scale = np.array([1e-3, 2e-3, 3e-3, 1e-4, 2e-4, 3e-4, 1e-3, 1e-6])
+    factors = scale[:, None] * rng.normal(size=(8, 20))
+    covariance = factors @ factors.T / 20
+    mounting = with_covariance(Mounting(lever_arm_uncertainty=1.0), covariance)
+    sigma = np.sqrt(np.diag(covariance))
+    assert mounting.lever_arm_uncertainty is None
+    np.testing.assert_allclose(mounting.lever_arm_uncertainties, sigma[:3])
+    np.testing.assert_allclose(mounting.boresight_uncertainties, sigma[3:6])
+    assert mounting.clock_uncertainty == pytest.approx(sigma[6])
+    assert mounting.clock_drift_uncertainty == pytest.approx(sigma[7])
+    found = sigma[:, None] * np.array(mounting.correlation) * sigma
+    np.testing.assert_allclose(found, covariance, rtol=0, atol=1e-8 * scale.max() ** 2)
+    # The errors of poses multiply by factors of the same covariance.
+    again = error_factors(mounting)
+    np.testing.assert_allclose(
+        again.T @ again / np.outer(sigma, sigma),
+        covariance / np.outer(sigma, sigma), atol=1e-7,
+    )  # fmt: skip
+
+
+def test_errors_of_a_heading_move_points_with_the_position():
+    # North is forward; the heading errs together with the position towards the east.
+    track = Trajectory.of_angles(
+        time=[0.0, 1.0], position=[[0.0, 0, 0], [0, 0, 0]], heading=[0.0, 0.0],
+    )  # fmt: skip
+    track = dataclasses.replace(track, covariance=np.tile(COVARIANCE, (2, 1, 1)))
+    poses = instrument_poses(track, Mounting(), [0.5])
+    # A turn to the left, about up, by 1 mrad carries a point 3 m ahead 3 mm west. It
+    # comes with a shift of 2 mm east: 1 mm is left.
+    (found,) = poses.covariance([[0.0, 3.0, 0.0]])
+    np.testing.assert_allclose(found, np.diag([1e-6, 0, 0]), atol=1e-15)
+    (behind,) = poses.covariance([[0.0, -3.0, 0.0]])
+    np.testing.assert_allclose(behind, np.diag([25e-6, 0, 0]), atol=1e-15)
