@@ -89,6 +89,28 @@ def test_light_agrees_with_the_small_angle_form_on_and_between_the_nodes() -> No
     assert_allclose(ratios[1] / ratios[0], 1, atol=0.01)
 
 
+def test_the_echo_of_facets_is_below_that_of_clear_water_and_early() -> None:
+    scene = SCENES["coastal-glossy"]
+    assert scene.water is not None
+    assert scene.distance is not None
+    echo = light.read(scene.water, scene.distance, highest=146e6).echo
+    facets = light.read_facets(scene.water, scene.distance)
+    at = int(np.flatnonzero(light.OFFSETS == 0)[0])
+    # Facets with the Gaussian slope of half of the angle between laser and receiver;
+    # Cook and Torrance 1982, at right angles, over a Lambertian plate.
+    slope = light.BASELINE / scene.distance / 2
+    clear = (
+        light.GLOSS / (8 * light.SLOPE**2) * np.exp(-(slope**2 / 2) / light.SLOPE**2)
+    )
+    ratio = abs(facets[0, at]) / abs(echo[0, at]) * light.REFLECTANCE / clear
+    assert 0.9 < ratio < 1.0
+    delay = np.angle(facets[1:, at] / echo[1:, at])
+    assert (delay[light.ALL[1:] < 150e6] < 0).all()
+    late = scene.case().late
+    assert np.unique(late).size == 2
+    assert np.ptp(late) > 0.3e-3
+
+
 def test_water_in_front_of_a_plate_agrees_with_photon_transport() -> None:
     with np.load(light.TABLE) as table:
         for name, distance in (("coastal", 2.5), ("clear", 6.6)):

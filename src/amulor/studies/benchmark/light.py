@@ -7,7 +7,7 @@ an hour on two cores. A scene reads the table only.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -27,6 +27,7 @@ from amulor.transport import (
     Medium,
     PlaneTarget,
     Source,
+    Tally,
     simulate,
 )
 
@@ -38,6 +39,9 @@ TABLE = Path(__file__).with_name("light.npz")
 BASELINE, AZIMUTH, RADIUS, ACCEPTANCE = 0.2, np.radians(-4.0), 0.02, 0.08
 GROUP_INDEX = 1.38
 REFLECTANCE = 0.1
+#: Glossy surfaces of the tables: part of the light that mirroring facets reflect, rms
+#: slope of the facets [1].
+GLOSS, SLOPE = 0.04, 0.1
 #: Sets of modulation frequencies by name [Hz].
 FREQUENCIES: dict[str, tuple[float, ...]] = {
     "one": (50e6,),
@@ -75,6 +79,8 @@ class TableWater:
     """Distances of the scenes [m]."""
     stated: dict[str, Any]
     """Fields of the survey that state the phase function, or its asymmetry."""
+    glossy: tuple[float, ...] = ()
+    """Distances of the scenes with glossy surfaces [m]."""
 
 
 #: Waters of Petzold 1972 with their coefficients, and milk of two concentrations.
@@ -92,6 +98,7 @@ WATERS: dict[str, TableWater] = {
         phase_function=lambda: petzold("HAOCE 11"),
         stated={"asymmetry": 0.947},
         distances=(2.5, 5.0),
+        glossy=(2.5,),
     ),
     "harbour": TableWater(
         absorption=0.366,
@@ -99,6 +106,7 @@ WATERS: dict[str, TableWater] = {
         phase_function=lambda: petzold("NUC 2040"),
         stated={"phase_function": {"kind": "petzold", "station": "NUC 2040"}},
         distances=(0.91, 1.37, 2.28, 3.2, 4.1),
+        glossy=(2.28,),
     ),
     "milk": TableWater(
         absorption=0.05,
@@ -133,6 +141,40 @@ class Light:
 
 def compute(water: TableWater, distance: float, *, error: float = _ERROR) -> Light:
     """Compute the light of a scene by photon transport, at the nodes of the table."""
+    plates = _plates(distance, reflectance=REFLECTANCE)
+    empty, *tallies = _tallies(water, [None, *plates], error=error)
+    return Light(
+        open_water=empty.signal,
+        water=np.array([tally.water_signal for tally in tallies]).T,
+        echo=np.array([tally.target_signal for tally in tallies]).T,
+        error=np.array(
+            [
+                float(empty.relative_error[0]),
+                max(float(t.relative_error_of("water")[0]) for t in tallies),
+                max(float(t.relative_error_of("target")[0]) for t in tallies),
+            ]
+        ),
+    )
+
+
+def compute_facets(
+    water: TableWater, distance: float, *, error: float = _ERROR
+) -> Complex:
+    """Compute the echo of mirroring facets alone, shape (frequencies, nodes) [1]."""
+    plates = _plates(distance, reflectance=0.0, gloss=GLOSS, rms_slope=SLOPE)
+    tallies = _tallies(water, plates, error=error)
+    return np.array([tally.target_signal for tally in tallies]).T
+
+
+def _plates(distance: float, **surface: float) -> list[PlaneTarget]:
+    """Return plates at the nodes of the table."""
+    return [PlaneTarget(position=(0, 0, distance + step), **surface) for step in _NODES]
+
+
+def _tallies(
+    water: TableWater, targets: Sequence[PlaneTarget | None], *, error: float
+) -> list[Tally]:
+    """Simulate the light of each target; of the open water where there is none."""
     receiver = GaussianReceiver(
         position=np.array([BASELINE, 0.0, 0.0]),
         direction=rays.direction(AZIMUTH, 0.0),
@@ -145,7 +187,7 @@ def compute(water: TableWater, distance: float, *, error: float = _ERROR) -> Lig
         phase_function=water.phase_function(),
         group_index=GROUP_INDEX,
     )
-    empty, *tallies = [
+    return [
         simulate(
             medium,
             Source(),
@@ -159,26 +201,8 @@ def compute(water: TableWater, distance: float, *, error: float = _ERROR) -> Lig
             ),
             longest_time=_TIME,
         )
-        for target in (
-            None,
-            *(
-                PlaneTarget(position=(0, 0, distance + step), reflectance=REFLECTANCE)
-                for step in _NODES
-            ),
-        )
+        for target in targets
     ]
-    return Light(
-        open_water=empty.signal,
-        water=np.array([tally.water_signal for tally in tallies]).T,
-        echo=np.array([tally.target_signal for tally in tallies]).T,
-        error=np.array(
-            [
-                float(empty.relative_error[0]),
-                max(float(t.relative_error_of("water")[0]) for t in tallies),
-                max(float(t.relative_error_of("target")[0]) for t in tallies),
-            ]
-        ),
-    )
 
 
 def key(water: str, distance: float) -> str:
@@ -215,6 +239,12 @@ def read(water: str, distance: float, *, highest: float) -> Light:
         echo=_between(echo, distance),
         error=error,
     )
+
+
+@lru_cache(maxsize=4)
+def read_facets(water: str, distance: float) -> Complex:
+    """Return the echo of mirroring facets alone at `OFFSETS`."""
+    return _between(np.asarray(_table()[f"{key(water, distance)} facets"]), distance)
 
 
 def _form(water: str, distance: float) -> Complex:
@@ -262,10 +292,10 @@ def lagrange(offset: NDArray[np.float64]) -> NDArray[np.float64]:
     return weights
 
 
-def digest(water: str, distance: float) -> str:
+def digest(water: str, distance: float, *, glossy: bool) -> str:
     """Return the first digits of the SHA-256 digest of a scene's light."""
     table, content = _table(), hashlib.sha256()
-    for part in ("open_water", "echo"):
+    for part in ("open_water", "echo", *(("facets",) if glossy else ())):
         content.update(table[f"{key(water, distance)} {part}"].tobytes())
     return content.hexdigest()[:12]
 
@@ -275,15 +305,14 @@ def main() -> None:
     table = dict(_table()) if TABLE.exists() else {}
     for name, water in WATERS.items():
         for distance in water.distances:
-            if f"{key(name, distance)} echo" in table:
-                continue
-            light = compute(water, distance)
-            table |= {
-                f"{key(name, distance)} {part}": values
-                for part, values in vars(light).items()
-            }
+            label = key(name, distance)
+            if f"{label} echo" not in table:
+                light = compute(water, distance)
+                table |= {f"{label} {part}": v for part, v in vars(light).items()}
+                print(label, light.error, flush=True)
+            if distance in water.glossy and f"{label} facets" not in table:
+                table[f"{label} facets"] = compute_facets(water, distance)
             np.savez_compressed(TABLE, **table)  # type: ignore[arg-type]
-            print(key(name, distance), light.error, flush=True)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from amulor.studies.trust.scenes.models import around
 from amulor.studies.trust.scenes.photons import with_samples
 from amulor.studies.trust.surveys import plate, survey
 from amulor.survey import Survey, water_properties
-from amulor.survey.mueller import matrix
+from amulor.survey.mueller import SURFACES, matrix
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
@@ -86,6 +86,8 @@ class Scene(BaseModel):
     """Reflectance of the surfaces, of bright spots if there are spots [1]."""
     texture: bool = False
     """Whether half of the surface has dark spots with a third of the reflectance."""
+    glossy: bool = False
+    """Whether half of the surface has glossy spots, which mirror 4 % of the light."""
     instrument: str | None = None
     """Kind of instrument error, in its typical size and without calibration."""
     disturbance: Literal["particles", "spikes", "drift", "noise"] | None = None
@@ -100,7 +102,7 @@ class Scene(BaseModel):
         available = {
             (name, distance)
             for name, water in light.WATERS.items()
-            for distance in water.distances
+            for distance in (water.glossy if self.glossy else water.distances)
         }
         if (self.water, self.distance) not in available:
             listed = ", ".join(light.key(*pair) for pair in sorted(available))
@@ -118,7 +120,7 @@ class Scene(BaseModel):
         content = self.model_dump(mode="json", exclude={"title", "quick"})
         text = json.dumps(content, sort_keys=True)
         if self.water is not None and self.distance is not None:
-            text += light.digest(self.water, self.distance)
+            text += light.digest(self.water, self.distance, glossy=self.glossy)
             text += _survey(self).to_toml()
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
@@ -171,6 +173,7 @@ def _photon_case(scene: Scene) -> Case:
     chosen = np.searchsorted(light.ALL, frequency)
     rng = np.random.default_rng(scene.seed + 1)
     share, reflectance = _arranged(scene, rng)
+    shine = _spots(rng) if scene.glossy else np.zeros((ROWS, COLUMNS), bool)
     empty = 1 - share.sum(axis=0)
     brightness = share * reflectance / light.REFLECTANCE
     echo = np.tensordot(table.echo, brightness, axes=1)
@@ -181,6 +184,16 @@ def _photon_case(scene: Scene) -> Case:
     frame, setup = simulate(planned, rng=scene.seed), Setup(planned)
     noise = np.random.default_rng(scene.seed)
     of_target = _light(planned, echo, chosen, paint)
+    late = [_late(table.echo, scene)] * 2
+    if scene.glossy:
+        facets = light.read_facets(scene.water, scene.distance)
+        mirrored = np.tensordot(facets, share * shine, axes=1)
+        metal = _light(planned, mirrored, chosen, SURFACES["smooth-metal"])
+        of_target = lock_in.Light(
+            of_target.modulated + metal.modulated, of_target.mean + metal.mean
+        )
+        matte = scene.reflectance / light.REFLECTANCE
+        late[1] = _late(matte * table.echo + facets, scene)
     of_water = _light(planned, water, chosen, haze)
     shots = np.repeat(table.open_water[:, None], frame.sizes["shot"], axis=1)
     of_shots = _light(planned, shots, chosen, haze)
@@ -204,20 +217,27 @@ def _photon_case(scene: Scene) -> Case:
     cube = cubes.note(_disturbed(scene, cube), "light from photon transport")
     distance = scene.distance + light.OFFSETS
     surfaces = np.where(share > 0, distance[:, None, None], np.nan)
-    path = light.GROUP_INDEX * (distance + np.hypot(distance, light.BASELINE))
-    late = lateness(
-        table.echo[chosen],
-        path,
-        modulation_frequency=frequency,
-        group_index=light.GROUP_INDEX,
-    )
+    largest = share.argmax(axis=0)
     return case_of(
         cube.assign_attrs(late_echo="present"),
         interval=around(scene.distance),
         surfaces=surfaces[(share > 0).any(axis=(1, 2))]
         if share.any()
         else surfaces[:1],
-        late=late[share.argmax(axis=0)],
+        late=np.where(shine, late[1][largest], late[0][largest]),
+    )
+
+
+def _late(echo: Complex, scene: Scene) -> Floats:
+    """Return the lateness of echoes by offset, shape (offsets,) [m]."""
+    assert scene.distance is not None
+    frequency = np.array(light.FREQUENCIES[scene.frequencies])
+    distance = scene.distance + light.OFFSETS
+    return lateness(
+        echo[np.searchsorted(light.ALL, frequency)],
+        light.GROUP_INDEX * (distance + np.hypot(distance, light.BASELINE)),
+        modulation_frequency=frequency,
+        group_index=light.GROUP_INDEX,
     )
 
 
@@ -286,9 +306,14 @@ def _arranged(scene: Scene, rng: np.random.Generator) -> tuple[Floats, Floats]:
         share[near], share[plain] = part, 1 - part
     reflectance = np.full((ROWS, COLUMNS), scene.reflectance)
     if scene.texture:
-        spots = rng.integers(0, 2, (ROWS // 2, COLUMNS // 2)).repeat(2, 0).repeat(2, 1)
-        reflectance[spots == 1] *= _DARK
+        reflectance[_spots(rng)] *= _DARK
     return share, reflectance
+
+
+def _spots(rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return spots of two by two pixels on half of the surface."""
+    drawn = rng.integers(0, 2, (ROWS // 2, COLUMNS // 2))
+    return np.equal(drawn.repeat(2, 0).repeat(2, 1), 1)
 
 
 def _disturbed(scene: Scene, cube: xr.Dataset) -> xr.Dataset:

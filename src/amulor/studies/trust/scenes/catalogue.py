@@ -106,6 +106,7 @@ SCENES: tuple[Scene, ...] = (
     _scene("coastal", "plate in coastal water", models.coastal),
     _scene("harbour", "plate in harbour water", models.harbour),
     _scene("circular", "plate seen with circular light", models.circular),
+    _scene("moving", "sloping sea bed below a vehicle that rolls", models.moving),
     _scene("empty", "water without a target, right survey", models.empty),
     *_photon_scenes(),
     _scene("acquired", "acquired by the simulated bench with stages that jitter",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 
+import numpy as np
 import xarray as xr
 
 from amulor.simulation import PhotonModel, simulate
@@ -118,6 +119,30 @@ def harbour(count: int, seed: int) -> Case:
 def circular(count: int, seed: int) -> Case:
     """Simulate a plate in tank water, measured with circular polarization."""
     planned = survey(count, plate(2.6, lean=20), pairs=("RR", "RL"))
+    return case_of(simulate(planned, rng=seed), interval=around(2.6))
+
+
+def moving(count: int, seed: int) -> Case:
+    """Simulate a sloping sea bed below a line scanner on a vehicle that rolls."""
+    bed = plate(2.6, lean=15, size=4)
+    planned = survey(count, bed, wide=19, tall=0, rows=20, columns=20)
+    course = {"kind": "line", "start": [0, -0.1, -5], "heading": 0, "speed": 0.2}
+    planned = planned.with_(
+        {
+            "instrument.modulation_depth": 0.8 / count,
+            "scan.moves": "both",
+            "scan.dwell": 2.5e-3,
+            "instrument.lock_in.time_constant": 2e-4,
+            "pose": {"position": [0, 0, -5], "heading": 0, "pitch": -np.pi / 2},
+            "platform": {
+                "readings": "at-once",
+                "course": course,
+                "disturbance": {"position": 5e-3, "roll": 0.02, "period": 3},
+                "navigation": {"position_uncertainty": 0.01},
+                "mounting": {"pitch": -np.pi / 2},
+            },
+        }
+    )
     return case_of(simulate(planned, rng=seed), interval=around(2.6))
 
 
