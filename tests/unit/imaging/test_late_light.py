@@ -88,6 +88,13 @@ def test_the_delay_is_taken_off_and_its_uncertainty_is_a_term(haze: str) -> None
         np.sqrt(0.05**2 + wide**2 + 0.4**2) * taken[usable],
         rtol=1e-6,
     )
+    # Spots of a window may be glossy: as uncertain as that scattering coefficient.
+    cube = measured(haze).assign_attrs(phasor_line_window=np.int32(5))
+    windows = imaging.range_image(cube, polarization="VH")
+    term = windows["slant_range_uncertainty_late_echo"].values
+    assert_allclose(
+        term[usable], np.sqrt(0.05**2 + wide**2 + 0.4**2) * taken[usable], rtol=1e-6
+    )
 
 
 def test_a_stated_phase_function_has_one_delay(haze: str) -> None:

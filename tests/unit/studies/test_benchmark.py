@@ -164,6 +164,16 @@ def test_two_surfaces_in_a_beam_both_count_as_right() -> None:
 # Rows --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
+def test_phasor_lines_of_glossy_spots_state_that_their_light_is_less_late() -> None:
+    scene = SCENES["harbour-glossy-5-lengths"]
+    found = table.row_of(scene, "phasor-lines", scene.case())
+    assert found.trusted > 0.5
+    assert abs(found.bias) > 10.0
+    assert found.inside_95 > 0.93
+    assert found.worst < 3.5
+
+
 def test_rows_survive_their_table() -> None:
     rows = [row("a", "x"), row("b", "y", phantoms=0.0, note='refused: "no, none"')]
     again = list(table.written(table.text(rows)))
