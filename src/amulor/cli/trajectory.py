@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from amulor.platform import Poses, Trajectory
 
-_BAG, _NMEA = (".mcap",), (".nmea", ".nma", ".log")
+_BAG, _NMEA, _XTF = (".mcap",), (".nmea", ".nma", ".log"), (".xtf",)
 
 
 def trajectory(
@@ -27,6 +27,7 @@ def trajectory(
     columns: Path | None = None,
     crs: str | None = None,
     crs_offset: str | None = None,
+    uncertainty: str | None = None,
     topic: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
@@ -36,17 +37,20 @@ def trajectory(
     Parameters
     ----------
     file
-        Log: a table (CSV or HDF5), NMEA 0183 sentences (.nmea, .nma, .log), or a ROS 2
-        bag (.mcap).
+        Log: a table (CSV or HDF5), NMEA 0183 sentences (.nmea, .nma, .log), a sonar
+        file (.xtf), or a ROS 2 bag (.mcap).
     output
         File to write (CSV). A figure of the same name ends in .png.
     columns
         Column map (TOML) of a table, which assigns columns to quantities.
     crs
-        Projected reference system for NMEA positions, such as EPSG:32632.
+        Projected reference system for positions of NMEA or XTF, such as EPSG:32632.
     crs_offset
         Offset of the local frame in the reference system: east, north and up, such as
-        "563km,4883km,0m". It is subtracted from NMEA positions.
+        "563km,4883km,0m". It is subtracted from positions of NMEA or XTF.
+    uncertainty
+        Standard uncertainties where NMEA or XTF state none: of each coordinate, of the
+        heading, and of pitch and roll, such as "2cm,0.2deg,0.05deg".
     topic
         Topic of the poses in a bag, if several topics have poses.
     json
@@ -65,7 +69,7 @@ def trajectory(
     inputs = [path for path in (file, columns) if path is not None]
     for path in (output, picture):
         io.check_output(path, overwrite=overwrite, inputs=inputs)
-    track = _read(file, columns, crs, crs_offset, topic)
+    track = _read(file, columns, crs, crs_offset, uncertainty, topic)
     write_figure(picture, track, overwrite=overwrite)
     write_trajectory(track, output, overwrite=overwrite)
     summary = _summary(track)
@@ -96,18 +100,21 @@ def _read(
     columns: Path | None,
     crs: str | None,
     crs_offset: str | None,
+    uncertainty: str | None,
     topic: str | None,
 ) -> Trajectory:
     """Read a log in the format of its ending; raise for options of other formats."""
-    from amulor.io import navigation_logs
+    from amulor.io import navigation_logs, xtf_log
     from amulor.io.trajectories import TrajectoryMap, trajectory_from_table
 
     ending = file.suffix.lower()
-    kind = "bag" if ending in _BAG else "log" if ending in _NMEA else "table"
+    logs = (*_NMEA, *_XTF)
+    kind = "bag" if ending in _BAG else "log" if ending in logs else "table"
     options = {
         "--columns": (columns, "table"),
         "--crs": (crs, "log"),
         "--crs-offset": (crs_offset, "log"),
+        "--uncertainty": (uncertainty, "log"),
         "--topic": (topic, "bag"),
     }
     for option, (value, wanted) in options.items():
@@ -121,11 +128,24 @@ def _read(
     if kind == "log":
         if crs is None:
             raise UsageError(
-                "--crs is missing: a log of NMEA 0183 has geographic positions; state "
-                "a projected reference system, such as --crs EPSG:32632"
+                f"--crs is missing: {file.name} has geographic positions; state a "
+                "projected reference system, such as --crs EPSG:32632"
             )
-        offset = (0.0, 0.0, 0.0) if crs_offset is None else _offset_of(crs_offset)
-        return navigation_logs.trajectory_from_nmea(file, crs=crs, crs_offset=offset)
+        read = (
+            xtf_log.trajectory_from_xtf
+            if ending in _XTF
+            else navigation_logs.trajectory_from_nmea
+        )
+        stated = {}
+        if crs_offset is not None:
+            lengths = ("length", "length", "length")
+            words = 'lengths to the east, north and up, such as "563km,4883km,0m"'
+            stated["crs_offset"] = _three("--crs-offset", crs_offset, lengths, words)
+        if uncertainty is not None:
+            kinds = ("length", "angle", "angle")
+            words = 'a length and two angles, such as "2cm,0.2deg,0.05deg"'
+            stated["uncertainty"] = _three("--uncertainty", uncertainty, kinds, words)
+        return read(file, crs=crs, **stated)
     if columns is None:
         raise UsageError(
             "--columns is missing: a table needs a map of its columns (TOML); the page "
@@ -134,15 +154,17 @@ def _read(
     return trajectory_from_table(file, TrajectoryMap.from_toml(columns))
 
 
-def _offset_of(text: str) -> tuple[float, float, float]:
+def _three(
+    option: str, text: str, kinds: tuple[str, str, str], words: str
+) -> tuple[float, float, float]:
+    """Return three quantities with commas between them."""
     parts = text.split(",")
     if len(parts) != 3:
-        raise UsageError(
-            f"--crs-offset {text!r}: state three lengths, east, north and up, such as "
-            '"563km,4883km,0m"'
-        )
-    east, north, up = (quantity_of("--crs-offset", part, "length") for part in parts)
-    return east, north, up
+        raise UsageError(f"{option} {text!r}: state three values, {words}")
+    first, second, third = (
+        quantity_of(option, part, kind) for part, kind in zip(parts, kinds, strict=True)
+    )
+    return first, second, third
 
 
 def _middle(track: Trajectory) -> Poses:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, time
 from functools import reduce
@@ -30,6 +30,8 @@ _POSES = (
     "geometry_msgs/msg/PoseStamped",
 )
 _DAY = 86400.0
+#: Uncertainties of a coordinate, of the heading, of pitch and roll that are not stated.
+UNKNOWN = (np.nan, np.nan, np.nan)
 
 
 def trajectory_from_nmea(
@@ -37,6 +39,7 @@ def trajectory_from_nmea(
     *,
     crs: str,
     crs_offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    uncertainty: tuple[float, float, float] = UNKNOWN,
 ) -> Trajectory:
     """Read a trajectory from a log of NMEA 0183 sentences.
 
@@ -48,6 +51,9 @@ def trajectory_from_nmea(
         Projected reference system of the trajectory, such as "EPSG:32632".
     crs_offset : tuple of float
         Offset of the local frame in the reference system, which is subtracted [m].
+    uncertainty : tuple of float
+        Standard uncertainties where the log states none: of each coordinate [m], of the
+        heading [rad], and of pitch and roll [rad].
 
     Returns
     -------
@@ -95,7 +101,7 @@ def trajectory_from_nmea(
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error}); check name and folder"
         ) from None
-    return log.trajectory(crs, crs_offset)
+    return log.trajectory(crs, crs_offset, uncertainty)
 
 
 def trajectory_from_sentences(
@@ -229,7 +235,10 @@ class _NmeaLog:
         return moment + _DAY * round((last - moment) / _DAY)
 
     def trajectory(
-        self, crs: str, crs_offset: tuple[float, float, float]
+        self,
+        crs: str,
+        crs_offset: tuple[float, float, float],
+        uncertainty: tuple[float, float, float] = UNKNOWN,
     ) -> Trajectory:
         """Return the trajectory of the log."""
         needed: dict[str, list[Any]] = {
@@ -243,50 +252,81 @@ class _NmeaLog:
                     f"{self.path}: has no {what}; record it, or convert the log to a "
                     "table and state its columns"
                 )
-        fixes, angles = np.array(self.fixes), np.array(self.attitudes)
-        place, convergence = projected(
-            fixes[:, 1], fixes[:, 2], crs,
-            place=lambda number: f"{self.path}, position {number + 1}",
-        )  # fmt: skip
+        fixes = np.array(self.fixes)
         sigma = np.array(
             [self.errors.get(moment, [np.nan] * 3) for moment in fixes[:, 0]]
         )
-        places = np.column_stack([place, fixes[:, 3]]) - np.array(crs_offset)
-        position, spread = _resampled(fixes[:, 0], places, sigma, at=angles[:, 0])
-        moments, turns_of_grid = _increasing(fixes[:, 0], convergence)
-        north = np.interp(angles[:, 0], moments, turns_of_grid)
-        turns = rotation_of(
-            np.radians(angles[:, 1]) - north,
-            np.radians(angles[:, 2]),
-            np.radians(angles[:, 3]),
-        )
-        level = np.hypot(angles[:, 4], angles[:, 5]) / np.sqrt(2)
-        attitude = quaternions_of(turns)
-        outside = int((~np.isfinite(position).all(axis=1)).sum())
         remarks = [f"{count} x {text} left out" for text, count in self.broken.items()
                    if count]  # fmt: skip
-        if outside:
-            remarks.append(
-                f"{outside} attitudes before the first, after the last or far from any "
-                "position"
-            )
-        messages = Messages(
-            time=angles[:, 0],
-            position=position,
-            attitude=attitude,
-            covariance=covariance_of(
-                turns, spread, np.radians(angles[:, 6]), np.radians(level)
-            ),
-            clock="unix",
+        return trajectory_of_fixes(
+            self.path,
+            fixes,
+            sigma,
+            np.array(self.attitudes),
             crs=crs,
             crs_offset=crs_offset,
-            remarks=tuple(remarks),
-        )
-        return trajectory_of(
-            messages,
-            source=str(self.path),
+            uncertainty=uncertainty,
+            remarks=remarks,
             place=lambda number: f"{self.path}, line {self.lines[number]}",
         )
+
+
+def trajectory_of_fixes(
+    path: Path,
+    fixes: Floats,
+    sigma: Floats,
+    angles: Floats,
+    *,
+    crs: str,
+    crs_offset: tuple[float, float, float],
+    uncertainty: tuple[float, float, float],
+    remarks: Sequence[str],
+    place: Callable[[int], str],
+) -> Trajectory:
+    """Return the trajectory of geographic positions and attitudes of their own times.
+
+    `fixes` are rows of Unix time, latitude, longitude, height; `sigma` is the
+    uncertainty east, north and up. `angles` are rows of Unix time, heading, pitch and
+    roll, with the uncertainties of roll, pitch and heading [deg]. `uncertainty` is that
+    of a coordinate, of the heading and of the other angles, where these are NaN.
+    """
+    sigma = np.where(np.isnan(sigma), uncertainty[0], sigma)
+    stated = np.degrees([uncertainty[2], uncertainty[2], uncertainty[1]])
+    spreads = np.where(np.isnan(angles[:, 4:7]), stated, angles[:, 4:7])
+    projection, convergence = projected(
+        fixes[:, 1], fixes[:, 2], crs,
+        place=lambda number: f"{path}, position {number + 1}",
+    )  # fmt: skip
+    places = np.column_stack([projection, fixes[:, 3]]) - np.array(crs_offset)
+    position, spread = _resampled(fixes[:, 0], places, sigma, at=angles[:, 0])
+    moments, turns_of_grid = _increasing(fixes[:, 0], convergence)
+    north = np.interp(angles[:, 0], moments, turns_of_grid)
+    turns = rotation_of(
+        np.radians(angles[:, 1]) - north,
+        np.radians(angles[:, 2]),
+        np.radians(angles[:, 3]),
+    )
+    level = np.hypot(spreads[:, 0], spreads[:, 1]) / np.sqrt(2)
+    outside = int((~np.isfinite(position).all(axis=1)).sum())
+    if outside:
+        remarks = [
+            *remarks,
+            f"{outside} attitudes before the first, after the last or far from any "
+            "position",
+        ]
+    messages = Messages(
+        time=angles[:, 0],
+        position=position,
+        attitude=quaternions_of(turns),
+        covariance=covariance_of(
+            turns, spread, np.radians(spreads[:, 2]), np.radians(level)
+        ),
+        clock="unix",
+        crs=crs,
+        crs_offset=crs_offset,
+        remarks=tuple(remarks),
+    )
+    return trajectory_of(messages, source=str(path), place=place)
 
 
 def _increasing(times: Floats, *values: Floats) -> tuple[Floats, ...]:

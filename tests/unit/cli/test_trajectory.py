@@ -80,7 +80,7 @@ def test_a_moving_scan_becomes_a_cloud_in_site_axes(log, capsys):
         (("rov.nmea", "-o", "track.csv"), "--crs is missing"),
         (
             ("rov.nmea", "--crs", "EPSG:32632", "--crs-offset", "1 m", "-o", "t.csv"),
-            "--crs-offset '1 m': state three lengths",
+            "--crs-offset '1 m': state three values, lengths",
         ),
     ],
 )
