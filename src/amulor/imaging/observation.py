@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from amulor.cube import UNUSABLE, QualityFlag
 from amulor.cube.error import flags_of_pixels, may_contain
-from amulor.cube.readings import lag_of, range_motion
+from amulor.cube.readings import lag_of, range_bend, range_motion, reading_weight
 from amulor.cube.schema import PHASE_PREFIX
 from amulor.cube.tiles import Span
 from amulor.errors import CubeError, SurveyError
@@ -121,8 +121,16 @@ class Observation:
 
     @cached_property
     def sigma(self) -> Floats:
-        """Phase uncertainties, infinite for discarded frequencies [rad]."""
-        return np.where(self._flags[1], np.inf, self._sigma("", self.usable))
+        """Phase uncertainties, infinite for discarded frequencies [rad].
+
+        With the change of the range rate between readings from a vehicle.
+        """
+        sigma = self._sigma("", self.usable)
+        if self.lag is not None and self.survey is not None:
+            bend = range_bend(self.lag, self.survey, reading_weight(self.frequency))
+            index = self.geometry.medium.group_index
+            sigma = np.hypot(sigma, 2 * index * bend / self.path_per_phase)
+        return np.where(self._flags[1], np.inf, sigma)
 
     @property
     def own_sigma(self) -> Floats:

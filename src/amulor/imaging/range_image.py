@@ -13,6 +13,7 @@ from amulor import cube as cubes
 from amulor._progress import tell
 from amulor.cube import LEVELS, QualityFlag
 from amulor.cube.error import JOINT_OUTLIERS, instrument_phase
+from amulor.cube.readings import reading_weight
 from amulor.cube.schema import PIXEL_TESTS
 from amulor.cube.tiles import Span
 from amulor.imaging import budget
@@ -201,7 +202,10 @@ def fitted_range_image(
             phases = frequency_phase(observation, path)
             steps = amplitude_phase(observation, path, weight=of_path.weight)
     samples = cube if joint else observation.channel
-    readings = _readings(samples, of_ranges.weight)
+    weight = np.asarray(of_ranges.weight)
+    if joint:
+        weight = reading_weight(observation.frequency, len(cube.amulor.polarizations))
+    readings = _readings(samples, weight)
     deviations = [] if phases is None or not phases.is_real else [phases.phase]
     if steps is not None and steps.is_real:
         # The darker or the brighter pixels may be right.
@@ -219,8 +223,7 @@ def fitted_range_image(
     image = image.assign_coords(readings)
     if "truth_reading_slant_range" in samples:
         true = _in_order(samples, "truth_reading_slant_range")
-        shares = np.tile(of_ranges.weight, len(true) // of_ranges.weight.size)
-        image["truth_slant_range"].values = np.tensordot(shares / shares.sum(), true, 1)
+        image["truth_slant_range"].values = np.tensordot(weight, true, 1)
     for test in (phases, steps):
         if test is not None:
             image = image.assign_attrs(test.attributes)
@@ -408,15 +411,14 @@ def _readings(samples: xr.Dataset, weight: Floats) -> dict[str, xr.Variable]:
     """Return times and weights of the readings of the ranges.
 
     `samples` has all frequencies of a channel, or of all channels of a joint
-    estimation. Readings at the same time count once.
+    estimation, and so have the weights. Readings at the same time count once.
     """
     if not all(name in samples.coords for name in _WINDOWS):
         return {}
     time, duration = (_in_order(samples, name) for name in _WINDOWS)
-    shares = np.tile(weight, len(time) // weight.size)
     if (time == time[:1]).all():
-        time, duration, shares = time[:1], duration[:1], np.ones(1)
-    values = time, duration, shares / shares.sum()
+        time, duration, weight = time[:1], duration[:1], np.ones(1)
+    values = time, duration, weight
     specs = LEVELS["range_image"].coordinates
     return {
         name: xr.Variable(

@@ -158,6 +158,19 @@ def ranges_of_joint(
         fit = RangesFit(
             weight=weight_of(observation.frequency, observation.sigma, usable)
         )
+    tests = {
+        "ambiguous_interval_probability": np.where(
+            (flag & QualityFlag.AMBIGUOUS) != 0,
+            estimate["wrong_interval_probability"],
+            np.nan,
+        )
+    }
+    if observation.lag is not None:
+        moved = (flag & QualityFlag.MOVED) != 0
+        chance = observation.channel["joint_misfit_probability"].values
+        # Outlying readings are at most that probable.
+        chance = np.minimum(chance, ambiguity.DISAGREEMENT)
+        tests["moved_probability"] = np.where(moved, chance, np.nan)
     ranges = Ranges(
         slant_range=distance,
         path=path,
@@ -171,13 +184,7 @@ def ranges_of_joint(
             "slant_range_wrong_interval": estimate["wrong_interval_probability"],
             "slant_range_bound": estimate["slant_range_bound"],
         },
-        tests={
-            "ambiguous_interval_probability": np.where(
-                (flag & QualityFlag.AMBIGUOUS) != 0,
-                estimate["wrong_interval_probability"],
-                np.nan,
-            )
-        },
+        tests=tests,
     )
     return ranges, fit
 
@@ -201,8 +208,8 @@ def _moved(observation: Observation, path: ambiguity.Path) -> Floats:
     probability = np.where(
         freedom > 0, chdtrc(np.maximum(freedom, 1), path.strain), 1.0
     )
-    # Readings with a finite error were left out because they contradict the others.
-    contradict = (path.left_out & np.isfinite(observation.sigma)).any(axis=0)
+    # Readings are left out because they contradict the others, or meet no target.
+    contradict = path.left_out.any(axis=0)
     probability = np.where(
         contradict, np.minimum(probability, ambiguity.DISAGREEMENT), probability
     )

@@ -144,7 +144,7 @@ def _motion(
     lag = lag_of(channel, survey)
     if lag is None:
         return None
-    weight = np.median(sigma, axis=1) ** -2.0
+    weight = np.nan_to_num(np.median(sigma, axis=1) ** -2.0)
     return (
         2
         * float(target["geometry"].attrs["group_index"])

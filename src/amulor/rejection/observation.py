@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from amulor.cube import tiles
 from amulor.cube.error import may_contain
-from amulor.cube.readings import lag_of
+from amulor.cube.readings import lag_of, range_bend, range_motion, reading_weight
 from amulor.rejection.covariance import Covariance
 from amulor.survey import Survey
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+#: Motions between readings: by the range rate, and by its change.
+_MOTIONS = (range_motion, range_bend)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +122,25 @@ class Observation:
         return lag_of(self.cube, self.survey) is not None
 
     @cached_property
+    def motion(self) -> Floats | None:
+        """Standard deviations of the optical paths of readings in turn [m].
+
+        By the range rate, with a sign, and by its change, along the first axis, then in
+        the dimensions of the samples; None for readings at once.
+        """
+        if "reading_time" not in self.cube.coords:
+            return None
+        lag = lag_of(self.cube, self.survey)
+        if lag is None or self.survey is None:
+            return None
+        weight = reading_weight(self.frequency, len(self.polarizations))
+        readings = lag.swapaxes(0, 1).reshape(-1, *lag.shape[2:])
+        change = [part(readings, self.survey, weight) for part in _MOTIONS]
+        group_index = float(self.cube["geometry"].attrs["group_index"])
+        shape = 2, len(self.polarizations), len(self.frequency), *lag.shape[2:]
+        return 2 * group_index * np.reshape(change, shape).swapaxes(1, 2)
+
+    @cached_property
     def origin_z(self) -> Floats | None:
         """Forward position of a moving emitter [m]; None for an emitter at rest."""
         if "origin_z" not in self.cube.coords:
@@ -148,6 +170,9 @@ class Observation:
             signal=_flat(self.signal),
             covariance=Covariance(*map(_flat, vars(self.covariance).values())),
             usable=_flat(self.usable),
+            motion=None
+            if self.motion is None
+            else np.stack([_flat(part) for part in self.motion], axis=-1),
         )
 
 
@@ -167,6 +192,9 @@ class FlatSamples:
     """Covariance of the stated errors [V^2]."""
     usable: NDArray[np.bool_]
     """Usable samples."""
+    motion: Floats | None = None
+    """Standard deviations of the optical paths by the range rate, with a sign, and by
+    its change, along a last axis; None for readings at once [m]."""
 
     def part(self, index: NDArray[np.intp]) -> FlatSamples:
         """Return the samples of the pixels at an index."""
@@ -174,6 +202,7 @@ class FlatSamples:
             signal=self.signal[index],
             covariance=self.covariance.part(index),
             usable=self.usable[index],
+            motion=None if self.motion is None else self.motion[index],
         )
 
 

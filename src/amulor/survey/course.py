@@ -90,6 +90,29 @@ def planned_speed(platform: Platform) -> float:
     return float(along + np.linalg.norm(wave.current) + swell)
 
 
+#: Rms frequency and rms square of the frequency of oscillations, whose periods lie
+#: between half and twice the mean, times the mean period over 2 pi [1].
+_QUICKER, _BENT = 1.16, 1.69
+#: Change of a range by the turn of a beam: at this distance on a slope of 45 deg [m].
+_ARM = 1.0
+
+
+def range_rate(platform: Platform) -> tuple[float, float]:
+    """Return the rms rate of ranges [m/s], and the rms change of the rate [m/s^2].
+
+    The direction of the course relative to surface and beam is unknown. Oscillations
+    are those of each coordinate, and of the angles for a beam on a slope.
+    """
+    wave = platform.disturbance
+    along = 0.0 if isinstance(platform.course, HoverCourse) else platform.course.speed
+    steady = (along + np.linalg.norm(wave.current)) / np.sqrt(3)
+    turn = np.linalg.norm([wave.heading, wave.pitch, wave.roll])
+    frequency = 2 * np.pi / wave.period
+    swell = np.hypot(wave.position, _ARM * turn)
+    rate = np.hypot(steady, _QUICKER * frequency * swell)
+    return float(rate), float(_BENT * frequency**2 * swell)
+
+
 def boresight_of(mounting: Mounting) -> Floats:
     """Return the rotation from instrument axes to vehicle axes, shape (3, 3) [1]."""
     turn = rotation_of(mounting.heading, mounting.pitch, mounting.roll)

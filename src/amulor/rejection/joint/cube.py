@@ -181,6 +181,9 @@ def cube_of(rows: Observation, scan: Scan, result: Result) -> xr.Dataset:
     cause[contradicted] |= WaterResidualCause.MODEL_MISFIT
     cause[detected & matters] |= WaterResidualCause.MODEL_DEPARTURE
     flag[cause != 0] |= QualityFlag.WATER_RESIDUAL
+    if rows.motion is not None:
+        outlying = result.unsettled | result.left_out.any(axis=(1, 2))
+        flag[contradicted | outlying] |= QualityFlag.MOVED
     flag[~detected | ~result.enough] |= QualityFlag.NO_TARGET
     target = target_cube(
         rows.cube,

@@ -257,8 +257,8 @@ def _joined(parts: list[Pixels]) -> Pixels:
         return parts[0]
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts])
-        for name in vars(parts[0])
-        if name != "covariance"
+        for name, values in vars(parts[0]).items()
+        if name != "covariance" and values is not None
     }
     errors = [
         np.concatenate([getattr(part.covariance, name) for part in parts])
@@ -372,6 +372,12 @@ def joint(
     them, and flagged `OUTLIER`. If it is unclear which samples are wrong, the whole
     pixel is flagged. With three or more frequencies, `MIXED` marks pixels that two
     surfaces explain and one does not; see decision 14.
+
+    For a vehicle that takes readings in turn, the change of the range between them is
+    a parameter of each pixel, with a prior of the planned motion. Its changes, and
+    those of the amplitude, are errors of the readings. Ranges belong to the mean time
+    of the readings with weights proportional to the squares of the frequencies. Pixels
+    that disagree beyond that are `MOVED`.
 
     Other flags: `NO_TARGET` if open water explains the samples about as well;
     `AMBIGUOUS` if another interval has a probability above 3e-4; `WATER_RESIDUAL` if

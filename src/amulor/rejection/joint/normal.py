@@ -172,6 +172,17 @@ def modelled(
     )
 
 
+def path_derivatives(
+    state: Shared, fitted: Fitted, model: Modelled, phase_per_path: Floats
+) -> Complex:
+    """Return the derivatives of the samples by the path of their pixel [V/m]."""
+    echo = (model.echo * (1 + state.echo))[:, None]
+    return np.asarray(
+        1j * phase_per_path * fitted.amplitude[..., None] * echo
+        + state.strength[:, None] * model.slope[:, None]
+    )
+
+
 def normal_equations(
     state: Shared,
     fitted: Fitted,

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.rejection.joint.motion import at_instant, estimates_of
 from amulor.rejection.joint.normal import (
     Fitted,
     Normal,
@@ -29,7 +30,7 @@ from amulor.rejection.joint.priors import (
 )
 from amulor.rejection.joint.samples import Pixels, weight
 from amulor.rejection.joint.scatter import Scatter, is_detected, scatter_of
-from amulor.rejection.joint.search import Estimates, estimate, without_foreground
+from amulor.rejection.joint.search import Estimates
 from amulor.rejection.joint.tables import table_of
 
 Floats = NDArray[np.float64]
@@ -58,6 +59,8 @@ class Problem:
         shots: Pixels | None,
         transfer: Complex,
         deepest: float,
+        *,
+        still: bool = False,
     ) -> None:
         if shots is not None:
             # The strength of shots does not depend on their time.
@@ -68,16 +71,30 @@ class Problem:
         self.shots = shots
         self.transfer = transfer
         self.deepest = deepest
+        #: Whether path rates are errors, as long as the scatter of samples is unknown.
+        self.still = still
 
     def part(self, index: NDArray[np.intp], *, shots: bool = True) -> Problem:
         """Return a copy with selected pixels, with or without open-water references."""
         targets = self.targets.part(index)
         chosen = self.shots if shots else None
-        return Problem(self.frame, targets, chosen, self.transfer, self.deepest)
+        return Problem(
+            self.frame, targets, chosen, self.transfer, self.deepest, still=self.still
+        )
 
     def of(self, targets: Pixels) -> Problem:
         """Return a copy with replaced target pixels."""
-        return Problem(self.frame, targets, self.shots, self.transfer, self.deepest)
+        return Problem(
+            self.frame, targets, self.shots, self.transfer, self.deepest,
+            still=self.still,
+        )  # fmt: skip
+
+    def at_rest(self) -> Problem:
+        """Return a copy that takes the path rates of readings in turn as errors."""
+        return Problem(
+            self.frame, self.targets, self.shots, self.transfer, self.deepest,
+            still=True,
+        )  # fmt: skip
 
     def with_shots(self, shots: Pixels) -> Problem:
         """Return a copy with replaced open-water references."""
@@ -187,23 +204,14 @@ class Problem:
         self, state: Shared, paths: Floats | None, pixels: Pixels | None = None
     ) -> Estimates:
         """Estimate paths and amplitudes of `pixels`, by default of all targets."""
-        start = None if paths is None else np.nan_to_num(paths, nan=0.0)
         pixels = drifted(self.targets if pixels is None else pixels, state.trend)
-        return estimate(
-            without_foreground(
-                pixels,
-                state.table,
-                strength=state.foreground,
-                phase_per_path=self.frame.phase_per_path,
-            ),
-            weight(pixels, None, state.noise_scale),
-            state.table,
-            gain=state.gain,
-            transfer=self.transfer * (1 + state.echo),
+        return estimates_of(
+            pixels,
+            state,
+            transfer=self.transfer,
             phase_per_path=self.frame.phase_per_path,
-            fluctuation=state.fluctuation,
-            front=state.foreground,
-            start=start,
+            start=None if paths is None else np.nan_to_num(paths, nan=0.0),
+            still=self.still,
         )
 
     def deviation(
@@ -223,7 +231,14 @@ class Problem:
         detected = is_detected(estimates)
         amplitude = np.where(detected[:, None], estimates.amplitude, 0.0)
         path = np.where(detected, estimates.path, np.inf)
-        groups = [Fitted(drifted(self.targets, state.trend), path, amplitude)]
+        targets = at_instant(
+            drifted(self.targets, state.trend),
+            estimates.path,
+            None if self.still else estimates.rate,
+            state,
+            self.frame.phase_per_path,
+        )
+        groups = [Fitted(targets, path, amplitude)]
         if self.shots is not None:
             count = len(self.shots)
             none = np.zeros((count, amplitude.shape[1]))
@@ -244,7 +259,9 @@ class Problem:
                 transfer=self.transfer,
                 phase_per_path=self.frame.phase_per_path,
             )
-        return total
+        # The prior of the rates of targets.
+        rates = estimates.rate[is_detected(estimates)]
+        return replace(total, square=total.square + float(rates @ rates))
 
     def scatter(
         self, state: Shared, estimates: Estimates, *, neighbors: bool = True

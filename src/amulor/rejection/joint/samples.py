@@ -143,6 +143,9 @@ class Pixels:
     trends: Floats
     """Polynomials of each pixel's time, (pixel, trend); zero for shots with their own
     water strength [1]."""
+    motion: Floats | None = None
+    """Standard deviation of the optical path at each reading by the range rate, with a
+    sign, and by its change, along a last axis; None for readings at once [m]."""
 
     def __len__(self) -> int:
         """Return the number of pixels."""
@@ -157,6 +160,7 @@ class Pixels:
                 self.covariance.quadrature[index],
                 self.covariance.cross[index],
             ),
+            motion=None if self.motion is None else self.motion[index],
             **{
                 name: getattr(self, name)[index]
                 for name in (
@@ -210,6 +214,7 @@ def pixels_of(
         longest=longest,
         depths=np.nan_to_num(np.maximum(slant_range - wide.length_before, 0.0)),
         trends=np.zeros((len(azimuth), 0)) if trends is None else trends,
+        motion=samples.motion,
     )
 
 

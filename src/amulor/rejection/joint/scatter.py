@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulor.rejection.joint.normal import Fitted, modelled
+from amulor.rejection.joint.normal import Fitted, modelled, path_derivatives
 from amulor.rejection.joint.priors import Shared, whitened, whitened_columns
 from amulor.rejection.joint.samples import Pixels, weight
 from amulor.rejection.joint.search import Estimates
@@ -222,18 +222,19 @@ def _residuals_of(
     sample = np.linspace(0, count - 1, min(count, _JUDGED)).astype(np.intp)
     key = np.where(is_target, group.path, pixels.longest.max() + np.arange(count))
     order = _mixed(sample[np.argsort(key[sample], kind="stable")], is_target)
+    parameters = channels + 1 + (pixels.motion is not None)
     derivatives = np.zeros((count, channels, frequencies, 0), dtype=complex)
     if is_target.any():
         derivatives = np.zeros(
-            (count, channels, frequencies, channels + 1), dtype=complex
+            (count, channels, frequencies, parameters), dtype=complex
         )
         echo = model.echo * (1 + state.echo)
         for c in range(channels):
             derivatives[:, c, :, c] = echo
-            derivatives[:, c, :, channels] = (
-                1j * phase_per_path * group.amplitude[:, c, None] * echo
-                + state.strength[c] * model.slope
-            )
+        by_path = path_derivatives(state, group, model, phase_per_path)
+        derivatives[..., channels] = by_path
+        if pixels.motion is not None:
+            derivatives[..., channels + 1] = pixels.motion[..., 0] * by_path
         derivatives[~is_target] = 0
     used = 2 * int(pixels.usable[order].sum())
     return _Residuals(
@@ -241,7 +242,7 @@ def _residuals_of(
         residual=model.residual[order],
         water_signal=model.water_signal[order],
         derivatives=derivatives[order],
-        freedom=used - (channels + 1) * int(is_target[order].sum()),
+        freedom=used - parameters * int(is_target[order].sum()),
         neighbors=neighbors,
     )
 

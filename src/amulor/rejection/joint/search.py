@@ -60,6 +60,8 @@ class Estimates:
     influence: Complex
     """Path shift per signal change, (pixel, channel, frequency) [m/V]: the shift is the
     real part of change times conjugate influence."""
+    rate: Floats
+    """Change of the path from reading to reading, in prior standard deviations [1]."""
 
 
 def estimate(
@@ -102,7 +104,9 @@ def estimate(
         np.full(count, np.nan) if start is None else start,
         out,
     )
-    return Estimates(**out._asdict() | {"influence": from_pairs(out.influence)})
+    return Estimates(
+        **out._asdict() | {"influence": from_pairs(out.influence)}, rate=np.zeros(count)
+    )
 
 
 #: Scalar results of a pixel.

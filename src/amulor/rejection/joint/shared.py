@@ -123,10 +123,11 @@ def begin(problem: Problem, turn_width: float, *, by_shots: bool) -> InitialFit:
     state = first(problem, turn_width, by_shots=by_shots)
     index = np.arange(len(problem.targets))
     sample = index[np.linspace(0, len(index) - 1, min(_FIRST, len(index))).astype(int)]
-    state, _ = problem.part(sample, shots=by_shots).descend(
+    still = problem.at_rest()
+    state, _ = still.part(sample, shots=by_shots).descend(
         state, _FIRST_STEPS, free=False
     )
-    cleaned = problem.part(index, shots=by_shots)
+    cleaned = still.part(index, shots=by_shots)
     _, estimates = cleaned.scattered(state)
     inlier = are_inliers(estimates)
     cleaned = cleaned.part(np.flatnonzero(inlier), shots=by_shots)
@@ -246,7 +247,8 @@ def _with_departures(initial: InitialFit, *, neighbors: bool = True) -> InitialF
     )
     for number in range(_ROUNDS):
         before = state.fluctuation, state.noise_scale
-        state, estimates = problem.scattered(state, paths, neighbors=neighbors)
+        current = problem if number else problem.at_rest()
+        state, estimates = current.scattered(state, paths, neighbors=neighbors)
         changed = False
         # Both fits use the same samples: only so are they comparable.
         if number and neighbors:

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulor.rejection.covariance import Covariance, times
+from amulor.rejection.joint import motion as joint_motion
 from amulor.rejection.joint import normal as joint_normal
-from amulor.rejection.joint import samples as joint_samples
-from amulor.rejection.joint import search as joint_search
 from amulor.rejection.joint._kernels import normal as kernels
 from amulor.rejection.joint._kernels.bundles import Covariances, WaterModel
 from amulor.rejection.joint._kernels.compiled import spread
@@ -124,18 +123,8 @@ def _estimates(
     frame: Frame, pixels: Pixels, shared: Shared, transfer: Complex
 ) -> Estimates:
     """Estimate optical paths and amplitudes of pixels."""
-    rate = frame.phase_per_path
-    return joint_search.estimate(
-        joint_search.without_foreground(
-            pixels, shared.table, strength=shared.foreground, phase_per_path=rate
-        ),
-        joint_samples.weight(pixels, None, shared.noise_scale),
-        shared.table,
-        gain=shared.gain,
-        transfer=transfer * (1 + shared.echo),
-        phase_per_path=rate,
-        fluctuation=shared.fluctuation,
-        front=shared.foreground,
+    return joint_motion.estimates_of(
+        pixels, shared, transfer=transfer, phase_per_path=frame.phase_per_path
     )
 
 
@@ -157,9 +146,13 @@ def _mixed(
     if not len(candidates):
         return cleaned, near, far
     pair = two_surfaces(
-        pixels.part(candidates), complete.path[candidates], shared, transfer=transfer,
-        phase_per_path=rate,
+        joint_motion.at_instant(
+            pixels.part(candidates), complete.path[candidates],
+            complete.rate[candidates], shared, rate,
+        ),
+        complete.path[candidates], shared, transfer=transfer, phase_per_path=rate,
     )  # fmt: skip
+    pair = replace(pair, cost=pair.cost + complete.rate[candidates] ** 2)
     is_mixed = are_two(
         pair,
         part_of(complete, candidates),
