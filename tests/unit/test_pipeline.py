@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -268,3 +269,31 @@ def test_no_tile_stays_in_memory(level: str, samples: xr.Dataset) -> None:
     # The first has nothing before it; from the second on none is added.
     assert len(counts) == 6
     assert max(counts[2:]) <= counts[1]
+
+
+def test_a_cube_in_memory_is_one_piece_unless_rows_are_stated(plate: Survey) -> None:
+    cube = simulate(plate, rng=1)
+    source = tiles.InMemory(cube)
+    step: Any = lambda whole: whole.assign_attrs(seen=True)  # noqa: E731
+    ((begin, made),) = pipeline.run_step(step, source)
+    assert begin == 0
+    xr.testing.assert_identical(made, cube.assign_attrs(seen=True))
+    asked: Any = SimpleNamespace(halo=3)
+    assert pipeline.window(asked, source, 7) == 7
+
+
+@pytest.mark.parametrize("halo", [0, 2, 5])
+def test_a_tile_has_its_own_rows_and_none_of_those_beside_them(halo: int) -> None:
+    cube = xr.Dataset({"number": ("row", np.arange(12))}).expand_dims(column=2)
+    seen = []
+
+    def treat(wide: xr.Dataset, first: int) -> xr.Dataset:
+        seen.append((first, first + wide.sizes["row"]))
+        return wide
+
+    prepared: Any = SimpleNamespace(halo=halo, treat=treat, input=lambda source: source)
+    made = pipeline.Made(prepared, tiles.InMemory(cube))
+    for begin, end in ((0, 4), (4, 9), (9, 12)):
+        rows = made.tile(begin, end)["number"].values
+        np.testing.assert_array_equal(rows[0], np.arange(begin, end))
+        assert seen[-1] == (max(begin - halo, 0), min(end + halo, 12))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scripts import script
 
 from amulor import io, rejection, simulate
 from amulor.cli import main
+from amulor.imaging import beam_profile
 from amulor.survey import Survey
 
 #: The survey of the picture in the how-to.
@@ -119,3 +121,19 @@ def test_refusals_are_lines_with_the_reason(
     printed = capsys.readouterr().err
     assert message in printed
     assert printed.count("\n") == 1
+
+
+@pytest.mark.parametrize(("misfit", "warned"), [(139.0, False), (141.0, True)])
+def test_a_chi_square_beyond_four_standard_deviations_is_warned_of(
+    folder: Path, misfit: float, warned: bool, monkeypatch, capsys
+) -> None:
+    # A chi-square of f degrees of freedom has the variance 2 f: 100 + 4 x 10 for 50.
+    beam = SimpleNamespace(
+        surface=[], surface_uncertainty=[], amplitude=[], amplitude_uncertainty=[],
+        resolution=0.12, unambiguous_span=5.4, noise=1e-6, misfit=misfit - 50,
+        freedom=50,
+    )  # fmt: skip
+    monkeypatch.setattr(beam_profile, "beam_profile", lambda *_, **__: beam)
+    assert main(["profile", str(folder / "target.nc"), "--pixel", "1,1"]) == 0
+    said = capsys.readouterr()
+    assert ("scatter about the surfaces" in said.out + said.err) == warned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from amulor.design import Goal, Parameters, recommend
 from amulor.design.candidates import box_values, scan_time
 from amulor.design.scores import Judge, merits
-from amulor.design.trade import trade, what_if
+from amulor.design.trade import _assumptions, trade, what_if
 
 
 def _merit(goal: Goal, chosen: Parameters, draws: int) -> float:
@@ -79,3 +80,27 @@ def test_a_trade_holds_the_recommended_one() -> None:
     ]
     assert found.scan_time[own].min() < times[0]
     assert found.scan_time[own].max() > times[1]
+
+
+def test_all_that_a_goal_states_is_an_assumption(goal_text: str) -> None:
+    goal = Goal.from_text(goal_text)
+    rows = {label: row for label, *row in _assumptions(goal, ())}
+    stated = {
+        "attenuation of the water": (math.sqrt(0.2 * 0.6), "1/m"),
+        "fluctuation of the water signal": (0.03, "1"),
+        "reflectance of the target": (0.2, "1"),
+        "light that passes the optics": (0.3, "1"),
+        "accuracy that is asked for": (3e-3, "m"),
+    }
+    assert rows.keys() >= stated.keys()
+    for label, (value, unit) in stated.items():
+        found, found_unit, scaled = rows[label]
+        assert found == pytest.approx(value)
+        assert found_unit == unit
+        changed = scaled(1.5)
+        assert changed is not None
+        again = {name: at for name, at, *_ in _assumptions(changed, ())}
+        assert again[label] == pytest.approx(1.5 * value)
+    # Reflectances above 1 do not exist; the widest of the goal is 0.3.
+    assert rows["reflectance of the target"][2](3.4) is None
+    assert rows["reflectance of the target"][2](3.3) is not None

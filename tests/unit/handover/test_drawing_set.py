@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import exact_scenes as scenes
@@ -230,3 +231,16 @@ def test_the_frame_of_a_set_is_that_of_its_axes(ladder_file, tmp_path) -> None:
     assert main([*words, "--product", "drawings", "--axes", "z-up"]) == 0
     frame = imaging.frame_of(io.read_cube(ladder_file), axes="z-up")
     assert frame.axes in (tmp_path / "l_section.svg").read_text()
+
+
+def test_the_elevation_of_a_turned_body_is_seen_from_the_instrument(monkeypatch):
+    # Beams go forward and a little down; the body stands upright, x is right, y is up.
+    beams = np.array([[0.1, -0.3, 1.0], [-0.1, -0.3, 1.0]])
+    surface = products.surface(scenes.cone())
+    surface = replace(surface, direction=beams, position=np.ones((2, 3)))
+    monkeypatch.setattr(products, "raster", lambda *words, **cells: (*words, cells))
+    axis, base = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.5, 0.0])
+    shifted, plane, cells = drawings._seen_along(surface, axis, base, 2e-3)
+    np.testing.assert_allclose(plane.axes, [[-1, 0, 0], [0, 1, 0], [0, 0, -1]])
+    np.testing.assert_allclose(shifted.position, [[0, 0.5, 1.0]] * 2)
+    assert cells == {"cell": 2e-3}

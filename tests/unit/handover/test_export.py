@@ -272,6 +272,7 @@ def test_points_are_left_out_on_request(ladder, tmp_path, capsys) -> None:
         (["-o", "x.png", "--scale", "1:0"], "such as 1:20"),
         (["-o", "x.csv", "--line=1m,2m"], "four lengths"),
         (["-o", "x.csv", "--line=1m,2m,1m,2m"], "the same"),
+        (["-o", "x.tif", "--line=0m,0m,1m,0m"], "--output x.tif: the ending"),
         (["-o", "x.tif", "--cell=-1mm"], "above 0 m"),
         (["-o", "x.ply", "--largest-uncertainty", "0 m"], "above 0 m"),
         (["-o", "x.png", "--dpi", "1"], "dpi"),

@@ -15,6 +15,7 @@ from amulor.io.navigation_logs import (
 )
 from amulor.io.trajectories import (
     TrajectoryMap,
+    projected,
     read_trajectory,
     trajectory_from_table,
     write_trajectory,
@@ -388,3 +389,21 @@ def test_a_long_reason_of_a_damaged_bag_is_shortened(
     with pytest.raises(FormatError) as refused:
         trajectory_from_bag(_bag(tmp_path / "a.mcap"))
     assert str(refused.value).count("x") == shown
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "right"),
+    [
+        (45.0, 360.0, True), (45.0, -360.0, True), (45.0, 360.1, False),
+        (90.1, 9.0, False), (-90.1, 9.0, False), (45.0, -360.1, False),
+    ],
+)  # fmt: skip
+def test_a_full_turn_of_longitude_is_the_largest(latitude, longitude, right):
+    angles = np.array([45.0, latitude]), np.array([9.0, longitude])
+    if right:
+        east, _ = projected(*angles, "EPSG:32631", place=str)
+        start, _ = projected(np.array([45.0]), np.array([0.0]), "EPSG:32631", place=str)
+        assert east[1] == pytest.approx(start[0], abs=1e-3)
+        return
+    with pytest.raises(FormatError, match=r"^1: latitude .* are no angles in degrees"):
+        projected(*angles, "EPSG:32631", place=str)

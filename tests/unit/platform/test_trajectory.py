@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from amulor._attitude import rotation_by
+from amulor.errors import SurveyError
 from amulor.platform import (
     Mounting,
     Trajectory,
@@ -369,3 +370,11 @@ def test_errors_of_a_heading_move_points_with_the_position():
     np.testing.assert_allclose(found, np.diag([1e-6, 0, 0]), atol=1e-15)
     (behind,) = poses.covariance([[0.0, -3.0, 0.0]])
     np.testing.assert_allclose(behind, np.diag([25e-6, 0, 0]), atol=1e-15)
+
+
+def test_a_date_that_is_none_is_named_with_its_field(tmp_path):
+    path = tmp_path / "rov.toml"
+    path.write_text('[mounting]\nclock_reference = "yesterday"\n')
+    words = 'rov.toml: mounting.clock_reference: found "yesterday"; input should be'
+    with pytest.raises(SurveyError, match=words):
+        read_mounting(path)

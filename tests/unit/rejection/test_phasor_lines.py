@@ -15,6 +15,7 @@ from amulor import imaging, rejection
 from amulor.cube import QualityFlag, tiles
 from amulor.errors import CubeError
 from amulor.optics import detection
+from amulor.rejection import smooth_water
 from amulor.rejection.phasor_lines import _edges
 
 FREQUENCY = np.array([20e6, 60e6])
@@ -283,3 +284,17 @@ def test_edges_lie_in_all_directions_of_a_square(window: int) -> None:
     for turned in (square[:, ::-1], square.swapaxes(1, 2)):
         found = np.abs(edges @ turned.reshape(len(edges), -1).T).max(axis=0)
         assert_allclose(found, 1, rtol=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(7, 9), (1, 12), (12, 1), (2, 2)])
+def test_windows_repeat_each_other_by_the_sum_of_their_correlations(shape) -> None:
+    # Means over 3 x 3 windows of white noise, and noise that is equal everywhere.
+    rng = np.random.default_rng(2)
+    for deviation in (rng.normal(size=shape), np.ones(shape)):
+        pairs = 0.0
+        for first in np.ndindex(shape):
+            for second in np.ndindex(shape):
+                if all(abs(a - b) < 3 for a, b in zip(first, second, strict=True)):
+                    pairs += deviation[first] * deviation[second]
+        expected = np.clip(pairs / np.sum(deviation**2), 1.0, 9.0)
+        assert smooth_water._repetition(deviation, 3) == pytest.approx(expected)

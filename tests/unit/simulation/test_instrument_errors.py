@@ -306,7 +306,9 @@ def test_pointing_moves_the_beams_and_not_what_is_recorded(survey: Survey) -> No
     away = np.where(np.arange(4) % 2 == 1, -0.01, 0.01)[:, None]
     elevation = whole["elevation"].values
     expected = 1.5 / (np.cos(azimuth + away) * np.cos(elevation))
-    assert_allclose(lag["truth_slant_range"], expected, rtol=2e-3)
+    change = lag["truth_slant_range"] - whole["truth_slant_range"]
+    before = 1.5 / (np.cos(azimuth) * np.cos(elevation))
+    assert_allclose(change, expected - before, rtol=0.05, atol=2e-5)
     assert np.abs(lag["truth_slant_range"] - whole["truth_slant_range"]).max() > 1e-4
     jitter = simulated(survey, pointing={"jitter": "5 mrad"})
     moved = jitter["truth_slant_range"].values - whole["truth_slant_range"].values

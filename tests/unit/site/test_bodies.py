@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import sparse
+from scipy.special import ndtri
 
 from amulor.site.registration import bodies
 from amulor.site.registration.bodies import Points, moved_bodies
@@ -126,3 +130,25 @@ def test_a_body_of_which_much_stands_off_has_moved_and_one_with_an_edge_has_not(
         seen = Points(**{**vars(points), "distance": points.distance + 0.5 * ~kept})
         got = moved_bodies(seen, weight, kept, misfit=1.0)
         np.testing.assert_array_equal(got, body & moved)
+
+
+@pytest.mark.parametrize(
+    ("count", "scatter", "misfit"),
+    # By chance 20 points scatter by up to 1 + 3 x 1.17 / sqrt(10) = 2.1.
+    [(20, 1.8, 1.0), (20, 2.5, 2.5), (20_000, 1.0, 1.0), (20_000, 1.1, 1.1)],
+)
+def test_more_scatter_than_by_chance_is_a_misfit(count, scatter, misfit) -> None:
+    # Quantiles of a normal distribution: their scatter is the stated one.
+    score = ndtri((np.arange(count) + 0.5) / count)
+    score /= 1.4826 * np.median(np.abs(score))
+    variance = np.array([np.full(count, 3e-6), np.full(count, 1e-6)])
+    points: Any = SimpleNamespace(
+        variance=variance, distance=2e-3 * scatter * score + 1e-3,
+        pixel=np.arange(count),
+    )  # fmt: skip
+    good = np.arange(count) != 3
+    found = bodies.counted(points, good, 1.0)
+    assert found.misfit == pytest.approx(misfit, rel=0.1 if count < 100 else 0.01)
+    assert found.weight[3] == 0
+    np.testing.assert_allclose(found.weight[good], 1 / (2e-3 * found.misfit) ** 2)
+    assert found.moved.size == 0

@@ -11,13 +11,16 @@ import numpy as np
 import pytest
 import underwater_sites as oracle
 from numpy.testing import assert_allclose, assert_array_equal
+from site_scenes import scanning
 
 from amulor.site import blocks
 from amulor.site.merging import pixels
-from amulor.site.merging.cloud import Merged, merge
+from amulor.site.merging.cloud import Merged, merge, seen_by_others
 from amulor.site.merging.pixels import all_points, joined, scan_clouds
 from amulor.site.merging.tiles import write_tiles
+from amulor.site.registration.pose import ScanPose
 from amulor.site.registration.register import surfaces_of
+from amulor.site.registration.surface import scan_surface, shared_errors
 
 
 class Both:
@@ -152,3 +155,26 @@ def both_of(drawn: drawn_sites.DrawnSite) -> Merged:
     empty = np.zeros((0, 3))
     fields = dict.fromkeys(Merged.__dataclass_fields__, empty)
     return Merged(**(fields | {"site": drawn.site, "brightest": 0.0}))  # type: ignore[arg-type]
+
+
+def test_a_scan_does_not_confirm_its_own_points() -> None:
+    azimuth, elevation, unit = scanning.grid(20, 24, 0.09)
+    errors = scanning.Errors(own=5e-4, delay=0.0, index=0.0, reference=0.0)
+    wall = 2.0 / unit[..., 2]
+    draw = scanning.Draw(np.random.default_rng(1))
+    image = scanning.image(wall, azimuth, elevation, errors=errors, draw=draw, scan="a")
+    shared = shared_errors(image, scan="a", instrument="i", water="w")
+    surface = scan_surface(image, name="a", shared=shared)
+    here = ScanPose(np.eye(3), np.zeros(3))
+    point = wall[8:12, 10:14].reshape(-1, 1) * unit[8:12, 10:14].reshape(-1, 3)
+    sigma = np.full(len(point), 5e-4)
+    for names, count in ((["a"], 0), (["a", "b"], 1), (["b", "c"], 2)):
+        surfaces, poses = dict.fromkeys(names, surface), dict.fromkeys(names, here)
+        confirmed, through = seen_by_others("a", surfaces, poses, point, sigma)
+        assert_array_equal(confirmed, count)
+        assert_array_equal(through, 0)
+        # 10 cm nearer the wall behind is seen through them.
+        nearer = 0.95 * point
+        confirmed, through = seen_by_others("a", surfaces, poses, nearer, sigma)
+        assert_array_equal(confirmed, 0)
+        assert_array_equal(through, count)

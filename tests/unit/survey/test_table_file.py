@@ -9,7 +9,7 @@ import pytest
 
 from amulor.errors import SurveyError
 from amulor.survey import Survey, Tabulated, TabulatedSurface, files
-from amulor.survey.surface import brightness
+from amulor.survey.surface import _largest_reflectance, brightness
 from amulor.survey.waters.phase_function import phase_function
 
 
@@ -76,3 +76,14 @@ def test_what_was_not_read_says_so() -> None:
             leaving=angle,
             azimuth=angle,
         )
+
+
+def test_a_white_surface_of_lambert_reflects_all_light() -> None:
+    # Of 1/pi in all directions, by its own closed form: 1. Unequal numbers of angles.
+    incidence, leaving = [0.0, 0.5, 1.0], np.linspace(0.0, np.pi / 2, 5)
+    for turns in ([0.0], np.linspace(0.0, np.pi, 4)):
+        values = np.full((3, 5, len(turns)), 1 / np.pi)
+        # One incidence reflects more than the others.
+        values[1] *= 1.5
+        found = _largest_reflectance(incidence, leaving, turns, values.ravel())
+        assert found == pytest.approx(1.5, rel=1e-4)

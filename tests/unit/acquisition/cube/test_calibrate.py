@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from amulor import rejection
 from amulor.acquisition import Calibration, calibrated, from_plates, from_shutter
+from amulor.acquisition.cube import calibrate
 from amulor.acquisition.cube.filters import measured_filters
 from amulor.errors import CubeError, FormatError
 from amulor.simulation import simulate
@@ -352,3 +353,15 @@ def test_the_error_of_the_dark_output_is_in_that_of_the_leakage(clear) -> None:
         expected = math.hypot(other.scan_uncertainty, error)
         assert_allclose(one.scan_uncertainty, expected)
         assert_allclose(one.open_water_uncertainty, expected)
+
+
+def test_readings_have_their_mean_and_the_larger_of_two_errors() -> None:
+    some = np.array([1 + 1j, 3 + 1j, complex(np.nan, 0), 2 - 2j])
+    one = np.array([2 - 1j, *[complex(np.nan, np.nan)] * 3])
+    variance = np.array([0.5, 0.5, 9.0, 2.0])
+    mean, error = calibrate._mean_of(np.array([some, one]), np.array([variance] * 2))
+    assert_allclose(mean, [2, 2 - 1j])
+    # Squares of the distances are 2, 2 and 4: 8 / 2 outputs / 2 degrees of freedom,
+    # above the mean of the stated 0.5, 0.5 and 2. A single reading has the stated one.
+    assert_allclose(error, [math.sqrt(2 / 3), math.sqrt(0.5)])
+    assert_allclose(calibrate._mean_of(some, 9 * variance)[1], math.sqrt(9 / 3))

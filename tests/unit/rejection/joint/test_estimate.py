@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from amulor import cube as cubes
 from amulor import rejection, simulate
 from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.errors import CubeError
+from amulor.rejection.joint import estimate
 from amulor.survey import Survey
 
 Sweep = Callable[..., Survey]
@@ -246,3 +249,25 @@ def test_an_echo_that_is_late_states_the_shift_and_its_limit(
     assert (shift > limit).all()
     assert (found["joint_departure"].values == 0).all()
     assert (found["water_residual_cause"].values == 0).all()
+
+
+@pytest.mark.parametrize(("off", "named"), [(0.3, "0.3"), (-0.4, "-0.4")])
+def test_a_window_at_several_distances_is_refused(monkeypatch, off, named) -> None:
+    medium = SimpleNamespace(window_distance=0.1)
+    emitter = SimpleNamespace(position=(0.0, 0.0, 0.05))
+    survey = SimpleNamespace(instrument=SimpleNamespace(emitter=emitter))
+    frame = SimpleNamespace(medium=medium, survey=survey)
+    extent = SimpleNamespace(azimuth=np.zeros(3), elevation=np.zeros(3))
+    monkeypatch.setattr(estimate, "_extent_of", lambda scan: extent)
+    monkeypatch.setattr(estimate, "shot_directions", lambda *_: np.zeros((2, 1)))
+    monkeypatch.setattr(estimate, "frame_of", lambda *_: frame)
+    # The second of two bands is farther from the window, or nearer.
+    places = {0: np.full((1, 2), 0.05), 1: np.array([[0.05, 0.05 + off]])}
+    scan: Any = SimpleNamespace(
+        head=SimpleNamespace(shots=None), bands=[(0, 1), (1, 2)],
+        tile=lambda begin, end: SimpleNamespace(origin_z=places[begin]),
+    )  # fmt: skip
+    with pytest.raises(CubeError, match=f"origin_z is up to {named} m off the emitter"):
+        estimate.common_of(
+            scan, interval=None, transfer=np.ones(1), instrument=cast(Any, None)
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import xarray as xr
 
 from amulor.cube import tiles
+from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.observation import Observation
@@ -173,3 +175,19 @@ def test_photons_between_the_shots_agree() -> None:
     # Photons at both ends of each comparison are known to a percent.
     assert missed[1] < 5 * error.max() + 0.01 * largest
     assert missed[1] < missed[0] / 3
+
+
+def test_water_without_a_whole_phase_function_is_known(monkeypatch) -> None:
+    def none(_: object) -> None:
+        raise SurveyError("no phase function")
+
+    has = shapes._has_phase_function.__wrapped__
+    clear, peaked, milky = (
+        SimpleNamespace(forward_scattering=b, second_moment=moment)
+        for b, moment in ((0.0, 0.1), (0.2, 0.0), (0.2, 0.1))
+    )
+    monkeypatch.setattr(shapes, "whole_phase_function", none)
+    # Light that is not turned needs no function.
+    assert [has(water) for water in (clear, peaked, milky)] == [True, True, False]
+    monkeypatch.setattr(shapes, "whole_phase_function", lambda _: "a function")
+    assert has(milky) is True
