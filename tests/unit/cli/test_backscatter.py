@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amulor.cli import main
+from amulor.cli import backscatter, main
 from amulor.simulation import transport
 
 # The long tank, as rebuilt: k = 0.5 1/m, baseline 20 cm, parallel axes, n = 1.34.
@@ -241,3 +241,10 @@ def test_the_closure_warns_of_a_narrow_receiver_in_one_line(
     assert line.count("warning: the closure does not hold in 1 of 1 columns") == 1
     assert line.count("\n") == 1
     assert line.endswith("use the small-angle model\n")
+
+
+def test_a_receiver_without_light_is_refused(tank: Path, capsys, monkeypatch) -> None:
+    dark = {"power_share_unmodulated": 0.0}
+    monkeypatch.setattr(backscatter, "_formula", lambda *_, **__: dark)
+    assert main(["backscatter", str(tank)]) == 1
+    assert "gets no light from this water; check receiver" in capsys.readouterr().err

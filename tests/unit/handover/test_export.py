@@ -6,6 +6,8 @@ import csv
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import exact_scenes as scenes
 import laspy
@@ -16,7 +18,7 @@ from PIL import Image
 
 from amulor import io
 from amulor.cli import main
-from amulor.handover import ENDINGS, Order, hand_over, product_of
+from amulor.handover import ENDINGS, Order, drawings, hand_over, product_of, references
 
 pye57 = pytest.importorskip("pye57")
 
@@ -357,3 +359,28 @@ def test_a_picture_has_the_stated_title_or_that_of_the_image(
     hand_over(ladder.assign_attrs(title=title), path, order)
     with Image.open(path) as picture:
         assert picture.text["Title"] == f"{written}, 1:1"
+
+
+@pytest.mark.parametrize("ending", [".tif", ".TIFF", ".svg"])
+def test_deviations_are_bands_of_a_geotiff_or_a_sheet(monkeypatch, ending) -> None:
+    layers = {"value": 1.0, "sigma": 2.0, "sure": 3.0}
+    raster = SimpleNamespace(layers=layers)
+    written: list[object] = []
+    monkeypatch.setattr(references, "_raster", lambda *_: (raster, None))
+    monkeypatch.setattr(references, "deviation_sheet", lambda *_: ("figure", "block"))
+    monkeypatch.setattr(
+        drawings, "write_bands", lambda _, bands, *rest, **words: written.extend(bands)
+    )
+    monkeypatch.setattr(
+        drawings, "save_sheet", lambda figure, *_, **words: written.append(figure)
+    )
+    nothing: Any = None
+    references._write_map(
+        nothing, Path(f"a{ending}"), nothing, ("title", ("statement",)), overwrite=False
+    )
+    if ending == ".svg":
+        assert written == ["figure"]
+        return
+    assert [(band.values, band.unit) for band in written] == [
+        (1.0, "m"), (2.0, "m"), (3.0, "1"),
+    ]  # fmt: skip

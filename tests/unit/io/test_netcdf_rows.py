@@ -373,3 +373,9 @@ def test_bands_are_spread_from_end_to_end(size, count):
         assert len(inside) <= count
         # Bands have 8 rows or more; a single one is at the begin.
         assert inside[-1] == size - 1 or count < 16
+
+
+def test_bands_that_touch_or_are_a_row_apart_are_one():
+    # Two bands of 8 rows, from end to end.
+    for size, bands in ((17, [(0, 17)]), (18, [(0, 8), (10, 18)])):
+        assert tiles._spread_bands(size, 16)[1] == bands
