@@ -370,7 +370,8 @@ def test_bands_are_spread_from_end_to_end(size, count):
     if count >= size:
         assert bands == [(0, size)]
     else:
-        assert len(inside) <= count
+        # A row between two bands comes along if it is the only one there.
+        assert len(inside) < count + max(count // 8, 1)
         # Bands have 8 rows or more; a single one is at the begin.
         assert inside[-1] == size - 1 or count < 16
 
