@@ -45,6 +45,7 @@ KINDS = {
         "photons c 1 1/m", "photons c 2 1/m",
     ),
     "simulated acquisition": ("acquired", "acquired twice"),
+    "moving vehicle": ("moving",),
     "spikes, particles": ("spikes", "particles"),
     "water that changes": ("change 5 %", "drift 3 %", "drift 10 %"),
     "errors of survey and noise": (
