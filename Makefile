@@ -81,8 +81,6 @@ test: lint
 	$(NODE) --test --test-reporter=dot 'tests/javascript/*.test.js'
 	$(PYTEST) $(TOGETHER)
 
-# Tests of pages wait for the browser, so there is one process more than cores.
-check: TOGETHER = -n $(shell expr $(JOBS) + 1) --dist loadfile --max-worker-restart=2
 check: .venv/installed-docs test
 	$(PYTEST) --hypothesis-profile=thorough $(TOGETHER) -m 'slow and not study'
 
