@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from amulor.errors import FormatError, MissingExtraError
-from amulor.io.trajectories import FROM_NED, in_enu, projected, quaternions_of
+from amulor.io.trajectories import (
+    FROM_NED,
+    in_enu,
+    projected,
+    quaternions_of,
+    reading,
+)
 from amulor.platform import Trajectory, rotation_of
 from amulor.platform.attitude import covariance_of
 from amulor.platform.messages import Messages, trajectory_of
@@ -93,14 +99,9 @@ def trajectory_from_nmea(
     """
     path = Path(path)
     log = _NmeaLog(path)
-    try:
-        with path.open("rb") as file:
-            for number, line in enumerate(file, start=1):
-                log.take(number, line)
-    except OSError as error:
-        raise FormatError(
-            f"{path}: cannot be read ({error.strerror or error}); check name and folder"
-        ) from None
+    with reading(path), path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            log.take(number, line)
     return log.trajectory(crs, crs_offset, uncertainty)
 
 
@@ -408,12 +409,8 @@ def trajectory_from_bag(
             purpose="a bag of ROS 2",
         ) from None
     rows: dict[str, list[Any]] = {}
-    try:
+    with reading(path):
         size = path.stat().st_size
-    except OSError as error:
-        raise FormatError(
-            f"{path}: cannot be read ({error.strerror or error}); check name and folder"
-        ) from None
     try:
         with path.open("rb") as file:
             reader = make_reader(file, decoder_factories=[DecoderFactory()])

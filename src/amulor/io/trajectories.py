@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -361,7 +362,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     path = Path(path)
     needed = "import the file with amulor import trajectory"
     try:
-        with path.open(encoding="utf-8") as file:
+        with reading(path), path.open(encoding="utf-8") as file:
             if file.readline().strip() != f"# {_HEADER}":
                 raise FormatError(f"{path}: is no trajectory of amulor; {needed}")
             stated: dict[str, str] = {}
@@ -389,13 +390,20 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             crs_offset=(offset[0], offset[1], offset[2]),
             remarks=tuple(remarks),
         )
+    except (ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise FormatError(f"{path}: is damaged ({reason}); {needed} again") from None
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raise a FormatError if the system does not read a log or trajectory."""
+    try:
+        yield
     except OSError as error:
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error}); check name and folder"
         ) from None
-    except (ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise FormatError(f"{path}: is damaged ({reason}); {needed} again") from None
 
 
 def projected(

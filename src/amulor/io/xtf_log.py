@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from amulor.errors import FormatError
 from amulor.io.navigation_logs import UNKNOWN, trajectory_of_fixes
+from amulor.io.trajectories import reading
 from amulor.platform import Trajectory
 
 Floats = NDArray[np.float64]
@@ -113,20 +114,15 @@ def trajectory_from_xtf(
     dive.xtf: cannot be read (No such file or directory); check name and folder
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if size < _HEADER or file.read(1)[0] != _FILE:
-                raise FormatError(
-                    f"{path}: is no XTF file, which has a header of {_HEADER} bytes "
-                    f"that begins with 0x7B ({size} bytes); check the file"
-                )
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                found, remarks = _records(path, content)
-    except OSError as error:
-        raise FormatError(
-            f"{path}: cannot be read ({error.strerror or error}); check name and folder"
-        ) from None
+    with reading(path), path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size < _HEADER or file.read(1)[0] != _FILE:
+            raise FormatError(
+                f"{path}: is no XTF file, which has a header of {_HEADER} bytes "
+                f"that begins with 0x7B ({size} bytes); check the file"
+            )
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            found, remarks = _records(path, content)
     positions, late = _timed(found[_POSITION[0]], 1e-4)
     attitudes, wrong = _timed(found[_ATTITUDE[0]], 1e-3)
     if late + wrong:
