@@ -25,8 +25,6 @@ Complex = NDArray[np.complex128]
 
 #: Steps of the path rate, and its largest size in prior standard deviations [1].
 _STEPS, _FARTHEST = 2, 4.0
-
-
 #: Relative change of the amplitude over the change of the optical path, by distance,
 #: light that is lost, and another place on the surface [1/m]; largest change [1].
 _AMPLITUDE, _MOST = 10.0, 0.1
@@ -41,10 +39,10 @@ def at_instant(
 ) -> Pixels:
     """Return samples as if all readings of a pixel were at the instant of its path.
 
-    `rate` is in prior standard deviations; None if it is unknown, which is an error of
-    the readings, too. The echo is turned back by the change of
-    its path since this instant; the water does not move with the vehicle. How much
-    stronger or weaker the echo is by then, is an error of the readings.
+    `rate` is in prior standard deviations. None means unknown, which is an error of the
+    readings. The echo is turned back by the change of its path since this instant. The
+    water does not move with the vehicle. The change of the amplitude of the echo is an
+    error of the readings.
     """
     if pixels.motion is None:
         return pixels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,31 +75,31 @@ class Problem:
         #: Whether path rates are errors, as long as the scatter of samples is unknown.
         self.still = still
 
+    def _with(self, **changes: Any) -> Problem:
+        """Return a copy with changed targets, shots or rates."""
+        kept: dict[str, Any] = {
+            "targets": self.targets, "shots": self.shots, "still": self.still
+        }  # fmt: skip
+        return Problem(
+            self.frame, transfer=self.transfer, deepest=self.deepest, **kept | changes
+        )
+
     def part(self, index: NDArray[np.intp], *, shots: bool = True) -> Problem:
         """Return a copy with selected pixels, with or without open-water references."""
-        targets = self.targets.part(index)
         chosen = self.shots if shots else None
-        return Problem(
-            self.frame, targets, chosen, self.transfer, self.deepest, still=self.still
-        )
+        return self._with(targets=self.targets.part(index), shots=chosen)
 
     def of(self, targets: Pixels) -> Problem:
         """Return a copy with replaced target pixels."""
-        return Problem(
-            self.frame, targets, self.shots, self.transfer, self.deepest,
-            still=self.still,
-        )  # fmt: skip
+        return self._with(targets=targets)
 
     def at_rest(self) -> Problem:
         """Return a copy that takes the path rates of readings in turn as errors."""
-        return Problem(
-            self.frame, self.targets, self.shots, self.transfer, self.deepest,
-            still=True,
-        )  # fmt: skip
+        return self._with(still=True)
 
     def with_shots(self, shots: Pixels) -> Problem:
         """Return a copy with replaced open-water references."""
-        return Problem(self.frame, self.targets, shots, self.transfer, self.deepest)
+        return self._with(shots=shots)
 
     def cost(self, state: Shared) -> float:
         """Return minus twice the logarithm of the evidence, up to a constant."""
