@@ -56,9 +56,13 @@ def cube_of(speed: float, seed: int):
 
 
 def measured(cube, method: str) -> dict[str, float]:
-    """Good pixels, their errors and the coverage of their intervals."""
+    """Reject and image a cube, and compare the ranges with the true ones."""
     target = getattr(rejection, method.replace("-", "_"))(cube, interval=INTERVAL)
-    image = imaging.range_image(target, interval=INTERVAL)
+    return scored(imaging.range_image(target, interval=INTERVAL))
+
+
+def scored(image) -> dict[str, float]:
+    """Good pixels of an image, their errors and the coverage of their intervals."""
     ranges, true = image["slant_range"].values, image["truth_slant_range"].values
     good = (image["quality_flag"].values & int(DOUBTFUL)) == 0
     good &= np.isfinite(ranges) & np.isfinite(true)

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import history
 import numpy as np
+from measure_readings_in_turn import scored
 
 from amulor import Survey, imaging, rejection, simulation
-from amulor.cube import DOUBTFUL
 
 SURVEY = Path(__file__).parents[1] / "examples" / "vehicle" / "amphora.toml"
 COLUMNS, ROWS, SPEED = 200, 200, 0.2
@@ -54,16 +54,9 @@ def measured(readings: str, seed: int) -> dict[str, float]:
     target = rejection.joint(cube, interval=INTERVAL)
     taken = time.process_time() - start
     image = imaging.range_image(target)
-    flag, ranges = image["quality_flag"].values, image["slant_range"].values
-    good = ((flag & int(DOUBTFUL)) == 0) & np.isfinite(ranges)
-    error = (ranges - image["truth_slant_range"].values)[good]
-    score = abs(error) / image["slant_range_uncertainty"].values[good]
-    return {
-        "pixels_per_s": flag.size / taken,
-        "good": good.mean(),
-        "error_mm": 1e3 * np.sqrt((error**2).mean()),
-        "within_1": (score < 1).mean(),
-        "within_1_96": (score < 1.96).mean(),
+    scores = scored(image)
+    return {"pixels_per_s": image["slant_range"].size / taken} | {
+        name: scores[name] for name in ("good", "error_mm", "within_1", "within_1_96")
     }
 
 
