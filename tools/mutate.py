@@ -2,12 +2,13 @@
 
 Run from the root of the repository: `python tools/mutate.py --sample 200 --seed 1`,
 with names of folders or files (`rejection`, `io/ply.py`) to stay within them. The
-sample is stratified: each folder gets its share of the changes, at least eight. Each
-worker changes a copy of the sources and forks a process per change from one that has
-imported all libraries. A change has a budget of processor time. The result of each
-change is a line of `tools/mutations.csv`; a second run continues from there. It prints
-the share that was caught with its interval of 95 %, by folder, and each change that no
-test noticed: close it by a test of behavior, or see that it changes nothing that can be
+sample is stratified: each folder gets its share of the changes, at least eight. A
+change of a line alters whether that line is drawn, and no other draw. Each worker
+changes a copy of the sources and forks a process per change from one that has imported
+all libraries. A change has a budget of processor time. The result of each change is a
+line of `tools/mutations.csv`; a second run continues from there. It prints the share
+that was caught with its interval of 95 %, by folder, and each change that no test
+noticed: close it by a test of behavior, or see that it changes nothing that can be
 observed and write it, with the reason, into `tools/equivalent_mutants.toml`. Changes
 listed there are drawn and counted, but not tried. Neither are changes that by their
 kind alter nothing: sizes of letters and lines in figures, the bar of progress, sizes of
@@ -18,9 +19,10 @@ real numbers, which no value meets exactly, are tried with `>`.
 
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
 run each change of the sample to a file. A campaign with `--covering FILE` then runs
-those tests: the short ones first, and of them the nearest. A change whose budget ended
-before all of its tests is `survived` by `budget`. `--part 1/2` tries every second
-change; run the parts at once, each with `--results` of its own.
+those tests: the short ones first, and of them the nearest. A test that takes more than
+half of the budget is tried alone; the others go on with what is left of the budget. A
+change whose budget ended before all of its tests is `survived` by `budget`. `--part
+1/2` tries every second change; run the parts at once, each with `--results` of its own.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ import ast
 import contextlib
 import csv
 import functools
+import hashlib
 import importlib
 import io
 import json
@@ -56,7 +59,7 @@ from pathlib import Path
 import pytest
 from covering import covering, parsed, search_path
 from scipy.stats import binomtest
-from switched import Trial, can_switch, place_of, switched, try_all
+from switched import Trial, can_switch, limit_time, place_of, switched, try_all
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "amulor"
@@ -147,7 +150,7 @@ class Mutant:
     @property
     def code(self) -> str:
         """The line that it begins in, without its margin."""
-        return self.file.read_text("utf-8").splitlines()[self.line - 1].strip()
+        return _lines(self.file, self.file.stat().st_mtime_ns)[self.line - 1].strip()
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -159,6 +162,12 @@ class Mutant:
         """The whole file with the change."""
         raw = self.file.read_bytes()
         return (raw[: self.start] + self.new.encode() + raw[self.end :]).decode()
+
+
+@functools.lru_cache(maxsize=1000)
+def _lines(file: Path, time: int) -> list[str]:
+    """Return the lines of a file that was last written at a time."""
+    return file.read_text("utf-8").splitlines()
 
 
 def mutants_of(file: Path) -> list[Mutant]:
@@ -463,9 +472,14 @@ def weighted(counts: dict[str, tuple[int, int]], sizes: dict[str, int]) -> str:
 class _Watch:
     """Plug-in of pytest: the first failure, and an end when the budget is used."""
 
-    def __init__(self, budget: float, current: Path) -> None:
+    def __init__(
+        self, budget: float, longest: float, without: frozenset[str], current: Path
+    ) -> None:
         self._budget, self.failed, self.count, self.ended = budget, "", 0, False
-        self._current = current
+        self._longest, self._without, self._current = longest, without, current
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = [item for item in items if item.nodeid not in self._without]
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.count += report.when == "call"
@@ -480,7 +494,9 @@ class _Watch:
         if _used() > self._budget:
             self.ended = True
             pytest.exit("the budget is used", returncode=5)
-        self._current.write_text(item.nodeid)
+        limit_time(self._longest)
+        with self._current.open("a") as file:
+            file.write(item.nodeid + "\n")
 
 
 def _used() -> float:
@@ -503,6 +519,8 @@ class Outcome:
     """Whether that test did not end."""
     ended: bool = False
     """Whether the budget ended before the tests."""
+    started: frozenset[str] = frozenset()
+    """Tests that began."""
 
     @property
     def by(self) -> str:
@@ -535,11 +553,6 @@ class Worker:
         try:
             while True:
                 outcome = self._tried(mutant, place)
-                if outcome.hangs:
-                    # Its time may have gone into the tests before it.
-                    test = [outcome.failed]
-                    outcome = self._run(test, self._budget, marks="not study")
-                    outcome.ended = not outcome.failed
                 if not outcome.failed or outcome.failed in self._sound:
                     return outcome
                 # A test that fails without the change, too, is left out.
@@ -573,7 +586,7 @@ class Worker:
         for number, (tests, marks) in enumerate(plan):
             left = self._budget - total.seconds
             if tests and left > 0:
-                part = self._run(tests, left, marks=marks)
+                part = self._row(tests, left, marks)
                 total.failed, total.hangs = part.failed, part.hangs
                 total.seconds += part.seconds
                 total.count += part.count
@@ -585,7 +598,35 @@ class Worker:
                 break
         return total
 
-    def _run(self, tests: list[str], budget: float, *, marks: str) -> Outcome:
+    def _row(self, tests: list[str], budget: float, marks: str) -> Outcome:
+        """Run tests; one that takes too long is tried alone, then the others go on."""
+        started: frozenset[str] = frozenset()
+        seconds, count = 0.0, 0
+        while True:
+            part = self._run(
+                tests, budget - seconds, marks=marks, without=started,
+                longest=self._budget / 2,
+            )  # fmt: skip
+            seconds, count = seconds + part.seconds, count + part.count
+            if part.hangs:
+                started |= part.started
+                alone = self._run([part.failed], self._budget, marks="not study")
+                if not alone.failed and part.started and seconds < budget:
+                    continue
+                part = alone
+                part.ended = not part.failed
+            part.seconds, part.count = seconds, count
+            return part
+
+    def _run(
+        self,
+        tests: list[str],
+        budget: float,
+        *,
+        marks: str,
+        without: frozenset[str] = frozenset(),
+        longest: float = math.inf,
+    ) -> Outcome:
         """Run tests in a forked process, until one fails or the budget is used."""
         # A file that cannot be imported is broken as a whole.
         tests = [test for test in tests if test not in self._broken]
@@ -599,30 +640,32 @@ class Worker:
             if child == 0:
                 files = Path(answer.name), Path(current.name)
                 try:
-                    self._test(tests, budget, marks, *files)
+                    plugin = _Watch(budget, longest, without | self._broken, files[1])
+                    self._test(tests, marks, plugin, files[0])
                 except BaseException:
                     files[0].write_text(traceback.format_exc())
                     os._exit(1)
                 os._exit(0)
             _, status, usage = _waited(child, 6 * self._budget + 60)
             seconds = usage.ru_utime + usage.ru_stime
-            text, test = answer.read(), current.read()
+            text, started = answer.read(), current.read().splitlines()
         if not text:  # ended by a limit of time, or by a crash
-            crashed = status is not None and os.WIFEXITED(status)
-            return Outcome(test or tests[0], seconds, hangs=not crashed)
+            return Outcome(
+                [*tests[:1], *started][-1], seconds, len(started),
+                hangs=status is None or not os.WIFEXITED(status),
+                started=frozenset(started),
+            )  # fmt: skip
         if status:
             raise RuntimeError(text)
         return Outcome(**{**json.loads(text), "seconds": seconds})
 
-    def _test(
-        self, tests: list[str], budget: float, marks: str, answer: Path, current: Path
-    ) -> None:
+    def _test(self, tests: list[str], marks: str, watch: _Watch, answer: Path) -> None:
         os.setpgid(0, 0)
         null = os.open(os.devnull, os.O_RDWR)
         for number in range(3):
             os.dup2(null, number)
         # A test that begins at the end of the budget has half of a budget to end.
-        limit = math.ceil(budget + self._budget / 2 + 5)
+        limit = math.ceil(1.5 * self._budget + 5)
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
         os.chdir(ROOT)
         sys.dont_write_bytecode = True
@@ -631,9 +674,7 @@ class Worker:
             "PYTHONPATH": search_path(self._copy),
             "PYTHONDONTWRITEBYTECODE": "1",
         }
-        watch = _Watch(budget, current)
         options = ["-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-m", marks]
-        options += [f"--deselect={test}" for test in self._broken]
         options += ["-p", "no:cacheprovider"]
         options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
         with (
@@ -700,9 +741,7 @@ def _waited(
         time.sleep(0.05)
 
 
-def sampled(
-    by_folder: dict[str, list[Mutant]], count: int, rng: random.Random
-) -> list[Mutant]:
+def sampled(by_folder: dict[str, list[Mutant]], count: int, seed: int) -> list[Mutant]:
     """Return a stratified sample, in an order in which each folder comes early.
 
     Parameters
@@ -711,24 +750,40 @@ def sampled(
         All changes of each folder.
     count : int
         Number of changes.
-    rng : random.Random
-        Source of the draws.
+    seed : int
+        Which draws.
 
     Returns
     -------
     list of Mutant
         Of each folder a share in proportion to the root of its changes, at least 8.
+        Each change has a random number that follows from its line and the seed alone;
+        the lowest numbers are drawn.
     """
     roots = {name: len(found) ** 0.5 for name, found in by_folder.items()}
     placed: list[tuple[float, Mutant]] = []
     for name, found in by_folder.items():
         share = max(round(count * roots[name] / sum(roots.values())), _LEAST)
-        drawn = rng.sample(found, min(share, len(found)))
+        rng = random.Random(f"{seed} {name}")
+        drawn = _by_chance(found, seed)[:share]
         placed += [
             ((n + rng.random()) / len(drawn), one) for n, one in enumerate(drawn)
         ]
     placed.sort(key=lambda pair: pair[0])
     return [mutant for _, mutant in placed]
+
+
+def _by_chance(found: list[Mutant], seed: int) -> list[Mutant]:
+    """Return changes in the order of random numbers of their own."""
+    before: Counter[tuple[str, str, str]] = Counter()
+    numbers = []
+    for mutant in found:
+        # The same change of the same line may stand at several places of a file.
+        before[mutant.key] += 1
+        text = "\t".join((str(seed), *mutant.key, str(before[mutant.key])))
+        numbers.append(hashlib.sha256(text.encode()).digest())
+    order = sorted(range(len(found)), key=numbers.__getitem__)
+    return [found[n] for n in order]
 
 
 def results(path: Path) -> dict[tuple[str, str, str], dict[str, str]]:
@@ -865,7 +920,7 @@ def main() -> int:
     sizes = {name: len(found) for name, found in by_folder.items() if found}
     by_folder = {name: by_folder[name] for name in sizes}
     known, earlier = equivalents(), results(words.results)
-    drawn = sampled(by_folder, words.sample, random.Random(words.seed))
+    drawn = sampled(by_folder, words.sample, words.seed)
     if words.again:
         left = {key for key, row in earlier.items() if row["result"] == "survived"}
         every = [mutant for found in by_folder.values() for mutant in found]

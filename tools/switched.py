@@ -31,7 +31,15 @@ import pytest
 from _pytest.runner import runtestprotocol
 from covering import is_compiled, parsed, search_path
 
-__all__ = ["SWITCH", "Trial", "can_switch", "place_of", "switched", "try_all"]
+__all__ = [
+    "SWITCH",
+    "Trial",
+    "can_switch",
+    "limit_time",
+    "place_of",
+    "switched",
+    "try_all",
+]
 
 #: The module that the switches call.
 SWITCH = '''"""Number of the change that is switched on."""
@@ -161,29 +169,51 @@ class _Loop:
                 for item in by_test.get(test, [])
                 if bool(item.get_closest_marker("slow")) == slow
             ]
-            while True:
-                chosen = [each for each in items if each.nodeid not in self._broken]
-                self._fork(chosen, trial, trial.number)
-                if trial.hangs:
-                    # Its time may have gone into the tests before it.
-                    alone = [item for item in chosen if item.nodeid == trial.failed]
-                    self._fork(alone, trial, trial.number)
-                    trial.ended = not trial.failed
-                if not trial.failed or trial.failed in self._sound:
-                    break
-                # A test that fails without the change, too, is left out.
-                again = Trial(number=-1, tests=[])
-                failed = [each for each in chosen if each.nodeid == trial.failed]
-                self._fork(failed, again, -1)
-                (self._broken if again.failed else self._sound).add(trial.failed)
-                if not again.failed:
-                    break
+            self._try(trial, items)
             if not self._done(trial):
                 break
         return True
 
-    def _fork(self, items: list[pytest.Item], trial: Trial, number: int) -> None:
-        """Run tests in a forked process, until one fails or the budget is used."""
+    def _try(self, trial: Trial, items: list[pytest.Item]) -> None:
+        """Run the tests of a change; those before a test that is left out ran once."""
+        left, half = self._budget, self._budget / 2
+        while True:
+            items = [item for item in items if item.nodeid not in self._broken]
+            before = trial.seconds
+            started = self._fork(items, trial, budget=left, longest=half)
+            left -= trial.seconds - before
+            last = [item for item in items if item.nodeid == trial.failed]
+            if trial.hangs:
+                # Its time may have gone into other tests, or be longer than half.
+                self._fork(last, trial, budget=self._budget)
+            elif not trial.failed:
+                return
+            if trial.failed in self._sound:
+                return
+            if trial.failed:
+                # A test that fails without the change, too, is left out.
+                again = Trial(number=-1, tests=[])
+                self._fork(last, again, budget=self._budget)
+                (self._broken if again.failed else self._sound).add(trial.failed)
+                if not again.failed:
+                    return
+            items = [item for item in items if item.nodeid not in started]
+            if left <= 0 or not started:
+                trial.failed, trial.hangs, trial.ended = "", False, True
+                return
+
+    def _fork(
+        self,
+        items: list[pytest.Item],
+        trial: Trial,
+        *,
+        budget: float,
+        longest: float = math.inf,
+    ) -> set[str]:
+        """Run tests in a process, until one fails or the budget is used.
+
+        A test of more than the longest time ends it. Returns the tests that began.
+        """
         with (
             tempfile.NamedTemporaryFile("r") as answer,
             tempfile.NamedTemporaryFile("r") as current,
@@ -191,26 +221,35 @@ class _Loop:
             child = os.fork()
             if child == 0:
                 try:
-                    self._child(items, number, Path(answer.name), Path(current.name))
+                    files = Path(answer.name), Path(current.name)
+                    self._child(items, trial.number, budget, longest, *files)
                 except BaseException:
                     Path(answer.name).write_text(traceback.format_exc())
                     os._exit(1)
                 os._exit(0)
             status, usage = _waited(child, 6 * self._budget + 60)
             trial.seconds += usage.ru_utime + usage.ru_stime
-            text, test = answer.read(), current.read()
+            text, started = answer.read(), current.read().splitlines()
         if not text:
             # Ended by a limit of time, or by a crash.
-            trial.failed, trial.hangs = test or "start", True
-            return
+            trial.failed, trial.hangs = started[-1] if started else "start", True
+            trial.count += len(started)
+            return set(started)
         if status:
             raise RuntimeError(text)
         found = json.loads(text)
         trial.failed, trial.ended, trial.hangs = found["failed"], found["ended"], False
-        trial.count += found["count"]
+        trial.count += len(started)
+        return set(started)
 
     def _child(
-        self, items: list[pytest.Item], number: int, answer: Path, current: Path
+        self,
+        items: list[pytest.Item],
+        number: int,
+        budget: float,
+        longest: float,
+        answer: Path,
+        current: Path,
     ) -> None:
         os.setpgid(0, 0)
         null = os.open(os.devnull, os.O_RDWR)
@@ -220,20 +259,30 @@ class _Loop:
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
         os.environ["AMULOR_MUTANT"] = str(number)
         sys.modules["amulor_switch"].active = number  # type: ignore[attr-defined]
-        failed, ended, count = "", False, 0
+        failed, ended = "", False
         for item, after in zip(items, [*items[1:], None], strict=True):
-            if time.process_time() + _of_children() > self._budget:
+            if time.process_time() + _of_children() > budget:
                 ended = True
                 break
-            current.write_text(item.nodeid)
+            limit_time(longest)
+            with current.open("a") as file:
+                file.write(item.nodeid + "\n")
             reports = runtestprotocol(item, log=False, nextitem=after)
-            count += 1
             if any(report.failed for report in reports):
                 failed = item.nodeid
                 break
-        answer.write_text(
-            json.dumps({"failed": failed, "ended": ended, "count": count})
-        )
+        answer.write_text(json.dumps({"failed": failed, "ended": ended}))
+
+
+def limit_time(longest: float) -> None:
+    """End this process where it uses more than a time from now on.
+
+    Parameters
+    ----------
+    longest : float
+        Processor time [s]; infinity for none.
+    """
+    signal.setitimer(signal.ITIMER_PROF, longest if math.isfinite(longest) else 0.0)
 
 
 def _of_children() -> float:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
-import random
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from scripts import script
@@ -157,21 +157,53 @@ def test_the_share_of_a_stratified_sample_is_weighted(tool: ModuleType) -> None:
     assert "90.0%" in alone
 
 
+def changes(names: Iterable[object]) -> list[SimpleNamespace]:
+    """Return changes of lines with these names."""
+    return [SimpleNamespace(key=(str(name), "", "")) for name in names]
+
+
 def test_a_sample_has_each_folder_early_and_eight_changes_of_it(
     tool: ModuleType,
 ) -> None:
     folders = {
-        "large": range(900),
-        "small": range(1000, 1100),
-        "tiny": range(2000, 2005),
+        "large": changes(range(900)),
+        "small": changes(range(1000, 1100)),
+        "tiny": changes(range(2000, 2005)),
     }
-    drawn = tool.sampled(folders, 100, random.Random(1))
-    assert len(set(drawn)) == len(drawn)
-    counts = {name: len(set(drawn) & set(of)) for name, of in folders.items()}
+    drawn = tool.sampled(folders, 100, 1)
+    ids = [id(one) for one in drawn]
+    assert len(set(ids)) == len(drawn)
+    of = {name: {id(one) for one in found} for name, found in folders.items()}
+    counts = {name: len(found & set(ids)) for name, found in of.items()}
     # Roots 30, 10 and 2.2: 71, 24 and 5 of 100, of which the tiny folder has no 8.
     assert counts == {"large": 71, "small": 24, "tiny": 5}
-    assert drawn == tool.sampled(folders, 100, random.Random(1))
-    assert {len(set(drawn[:30]) & set(of)) > 0 for of in folders.values()} == {True}
+    assert drawn == tool.sampled(folders, 100, 1)
+    assert drawn != tool.sampled(folders, 100, 2)
+    assert all(found & set(ids[:30]) for found in of.values())
+
+
+def test_a_line_that_changes_alters_no_draw_of_other_lines(tool: ModuleType) -> None:
+    before = {"io": changes(range(400)), "cube": changes(range(1000, 1400))}
+    after = {"io": changes(["new", *range(1, 400)]), "cube": before["cube"]}
+    old, new = (
+        [one.key[0] for one in tool.sampled(folders, 100, 7)]
+        for folders in (before, after)
+    )
+    assert [name for name in old if name >= "1000"] == [
+        name for name in new if name >= "1000" and name != "new"
+    ]
+    assert len(set(old) ^ set(new)) <= 2
+
+
+def test_the_same_change_at_two_places_of_a_file_is_drawn_twice_by_chance(
+    tool: ModuleType,
+) -> None:
+    # Places of the same name would otherwise be neighbors in each sample.
+    twice = {"io": changes([*range(200), *range(200)])}
+    names = [one.key[0] for one in tool.sampled(twice, 100, 3)]
+    pairs = len(names) - len(set(names))
+    # 100 of 400 places: each of 200 names twice with a chance of 100/400 * 99/399.
+    assert abs(pairs - 200 * 100 / 400 * 99 / 399) < 4 * 12.4**0.5
 
 
 def test_the_table_has_a_figure_for_each_folder(tool: ModuleType) -> None:
@@ -224,6 +256,20 @@ def test_doubled():
 def test_broken():
     raise AssertionError
 """
+LONG = """import time
+
+from amulor.part import doubled
+
+
+def test_long():
+    assert doubled(0) == 0
+    while time.process_time() < 2.5:
+        pass
+
+
+def test_short():
+    assert doubled(2) == 4
+"""
 
 
 @pytest.mark.slow
@@ -271,6 +317,38 @@ def test_a_campaign_finds_what_tests_notice_and_continues(tmp_path: Path) -> Non
         covered = {row["change"]: row for row in csv.DictReader(file)}
     assert {change: row["result"] for change, row in covered.items()} == found
     assert {change: row["by"] for change, row in covered.items()} == by
+
+
+@pytest.mark.slow
+def test_a_test_that_uses_up_the_budget_is_left_out(tool: ModuleType, tmp_path) -> None:
+    package, tests = tmp_path / "src" / "amulor", tmp_path / "tests"
+    for folder in (package, tests):
+        folder.mkdir(parents=True)
+    (tmp_path / "pyproject.toml").write_text(
+        "[tool.pytest.ini_options]\nmarkers = ['slow', 'study']\n"
+    )
+    (package / "__init__.py").touch()
+    (package / "part.py").write_text(PART)
+    (tests / "test_part.py").write_text(LONG)
+    program = f"""import sys
+from pathlib import Path
+sys.path.insert(0, {str(TOOL.parent)!r})
+import mutate
+mutate.ROOT, mutate.PACKAGE = Path.cwd(), Path.cwd() / "src" / "amulor"
+(one,) = [
+    mutant
+    for mutant in mutate.mutants_of(mutate.PACKAGE / "part.py")
+    if mutant.said == "x * 2 -> x / 2"
+]
+worker = mutate.Worker(Path.cwd() / "copy", budget=2, tests={{}})
+outcome = worker.outcome(one)
+print(outcome.by, outcome.seconds < 2)
+"""
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(
+        words, cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "tests/test_part.py::test_short True\n"
 
 
 def test_the_nearest_tests_come_first_and_none_comes_twice(tool: ModuleType) -> None:

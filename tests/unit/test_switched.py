@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -96,3 +98,62 @@ def test_changes_at_import_and_of_compiled_code_have_no_switch(tools) -> None:
     lines = {n for n in range(1, 23) if switched.can_switch(file, n)}
     # Not: constants, heads, compiled functions, cases.
     assert lines == {5, 6, 7, 8, 20, 21, 22}
+
+
+#: The first test of a module may take longer than half of a budget of 2 s.
+LONG = """import time
+
+from amulor.part import doubled
+
+
+def test_long():
+    assert doubled(0) == 0
+    end = time.process_time() + {seconds}
+    while time.process_time() < end:
+        pass
+
+
+def test_short():
+    assert doubled({number}) == 4
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seconds", "number", "expected"),
+    [
+        (0.1, 2, "test_short False"),
+        (2.5, 2, "test_short False"),
+        # All tests have passed, the first one alone.
+        (2.5, 1, "None False"),
+    ],
+)
+def test_a_test_that_uses_up_the_budget_is_left_out(
+    tmp_path: Path, seconds: float, number: int, expected: str
+) -> None:
+    for folder in ("src/amulor", "tests"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "pyproject.toml").write_text(
+        "[tool.pytest.ini_options]\nmarkers = ['slow', 'study']\n"
+    )
+    (tmp_path / "src" / "amulor" / "__init__.py").touch()
+    (tmp_path / "src" / "amulor" / "part.py").write_text(
+        "from amulor_switch import on\n\n\ndef doubled(x):\n"
+        "    return (3 if on(0) and x > 1 else 4) * max(1, x // 2) if x else 0\n"
+    )
+    text = LONG.format(seconds=seconds, number=number)
+    (tmp_path / "tests" / "test_part.py").write_text(text)
+    program = f"""import sys
+from pathlib import Path
+sys.path.insert(0, {str(TOOLS)!r})
+from switched import Trial, try_all
+trials = [Trial(number=0, tests=["tests/test_part.py"])]
+try_all(Path("src"), trials, root=Path.cwd(), budget=2, done=lambda trial: True)
+(trial,) = trials
+print(trial.failed.rpartition("::")[-1] or None, trial.ended)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == expected
