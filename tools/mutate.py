@@ -14,7 +14,9 @@ listed there are drawn and counted, but not tried. Neither are changes that by t
 kind alter nothing: sizes of letters and lines in figures, the bar of progress, sizes of
 caches and blocks, None in place of False, another negative number as the open length of
 `reshape`, and whether `zip` compares lengths, which differ by mistakes of programs
-only. Counts and limits of 0 or 1 are tried with `<=` in place of `<`. Other limits of
+only; seeds inside of functions, one more repetition of an iteration, how a function is
+compiled, and numbers of at most 1e-9 that are tolerances or keep a divisor from 0.
+Counts and limits of 0 or 1 are tried with `<=` in place of `<`. Other limits of
 real numbers, which no value meets exactly, are tried with `>`.
 
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
@@ -100,7 +102,25 @@ _UNSEEN = frozenset(
     {"part", "_progress.part", "tell", "lru_cache", "functools.lru_cache"}
 )
 #: Numbers that are computed at once; results do not depend on them.
-_SIZES = frozenset({"_AT_ONCE", "_BLOCK", "_BLOCK_SEGMENTS"})
+_SIZES = frozenset(
+    {
+        "_AT_ONCE",
+        "_BLOCK",
+        "_BLOCK_SEGMENTS",
+        "_HALOS",
+        "_PIECE",
+        "_PIXELS",
+        "_TOGETHER",
+    }
+)
+#: Arguments that results do not depend on: how a function is compiled, or a sum formed;
+#: one more evaluation; a tolerance, if it is tiny; a seed.
+_HOW = re.compile(r"cache|nogil|optimize|check_finite|max_nfev|maxiter|seed")
+_TOLERANCE = re.compile(r"[afgrx]tol")
+#: Largest number that only keeps a divisor from 0, or ends an iteration.
+_TINY = 1e-9
+#: Functions whose numbers keep divisors from 0, if they are tiny.
+_GUARDS = frozenset({"max", "np.clip", "np.fmax", "np.maximum"})
 #: Counts, of which a comparison is changed by one.
 _COUNTS = re.compile(r"\blen\(|\.(size|ndim|shape|count)\b")
 #: Tests that look at all modules.
@@ -268,9 +288,22 @@ def _unseen(tree: ast.Module) -> set[int]:
             case ast.Return(value=ast.Constant(value=False | None)):
                 single.add(id(node))
             case ast.Assign(targets=[ast.Name(id=name)]) if name in _SIZES:
-                parts.append(node.value)
+                numbers = [
+                    n for n in ast.walk(node.value) if isinstance(n, ast.Constant)
+                ]
+                whole = all(isinstance(number.value, int) for number in numbers)
+                parts += [node.value] if whole else []
+            case ast.For(
+                target=ast.Name(id="_"),
+                iter=ast.Call(
+                    func=ast.Name(id="range"), args=[ast.Constant(value=int() as count)]
+                ),
+            ) if count > 2:
+                # One more repetition of an iteration.
+                single.add(id(node.iter.args[0]))  # type: ignore[attr-defined]
         if isinstance(node, ast.Call):
             parts += [w.value for w in node.keywords if _is_looks(w.arg)]
+            single |= _without_effect(node)
             if ast.unparse(node.func) == "zip":
                 parts += [word.value for word in node.keywords]
             if ast.unparse(node.func).endswith("reshape"):
@@ -281,6 +314,32 @@ def _unseen(tree: ast.Module) -> set[int]:
                     if isinstance(part, ast.UnaryOp) and ast.unparse(part) == "-1"
                 }
     return single | {id(part) for whole in parts for part in ast.walk(whole)}
+
+
+def _without_effect(call: ast.Call) -> set[int]:
+    """Return numbers and flags of a call that no result depends on."""
+    name = ast.unparse(call.func)
+    found: list[ast.expr] = []
+    for word in call.keywords:
+        how, value = word.arg or "", word.value
+        if not isinstance(value, ast.Constant):
+            continue
+        tiny = _TOLERANCE.fullmatch(how) and _is_tiny(value)
+        if tiny or _HOW.fullmatch(how) or (how == "copy" and value.value is False):
+            found.append(value)
+    if name.endswith("default_rng"):
+        found += [part for part in call.args if isinstance(part, ast.Constant)]
+    if name in _GUARDS:
+        found += [part for part in call.args if _is_tiny(part)]
+    return {id(part) for part in found}
+
+
+def _is_tiny(node: ast.expr) -> bool:
+    return (
+        isinstance(node, ast.Constant)
+        and isinstance(node.value, float)
+        and 0 < node.value <= _TINY
+    )
 
 
 def _is_looks(argument: str | None) -> bool:

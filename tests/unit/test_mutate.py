@@ -98,6 +98,29 @@ def test_changes_that_alter_nothing_by_their_kind_are_not_tried(
     }  # fmt: skip
 
 
+def test_seeds_repetitions_and_tiny_guards_are_not_tried(
+    tool: ModuleType, source: Path
+) -> None:
+    source.write_text(
+        "_TOGETHER = 64\n\n\n@njit(cache=True)\ndef part(x):\n"
+        "    for _ in range(5):\n        y = np.maximum(x, 1e-300) / max(x, 1e-10)\n"
+        "    return solve(y, xtol=1e-12, max_nfev=6, seed=7, rng=default_rng(8))\n"
+    )
+    assert {
+        one.said.partition(" ")[0] for one in tool.mutants_of(source) if one.unseen
+    } == {"64", "True", "5", "1e-300", "1e-10", "1e-12", "6", "7", "8"}
+    # A limit of a result, a default, and an iteration that ends early are tried.
+    source.write_text(
+        "_TOGETHER = 3.5\n\n\ndef part(x, seed=7):\n    for n in range(5):\n"
+        "        x = max(x, 1e-3)\n    for _ in range(2):\n"
+        "        x = near(x, rtol=1e-4)\n"
+    )
+    tried = [one.said for one in tool.mutants_of(source) if not one.unseen]
+    assert {said.partition(" ")[0] for said in tried} >= {
+        "3.5", "7", "5", "0.001", "2", "0.0001"
+    }  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [
