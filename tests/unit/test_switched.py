@@ -147,9 +147,11 @@ def test_a_test_that_uses_up_the_budget_is_left_out(
 from pathlib import Path
 sys.path.insert(0, {str(TOOLS)!r})
 from switched import Trial, try_all
-trials = [Trial(number=0, tests=["tests/test_part.py"])]
+none = Trial(number=0, tests=["tests/test_part.py::test_gone"])
+trials = [none, Trial(number=0, tests=["tests/test_part.py"])]
 try_all(Path("src"), trials, root=Path.cwd(), budget=2, done=lambda trial: True)
-(trial,) = trials
+none, trial = trials
+assert not none.failed and not none.ended
 print(trial.failed.rpartition("::")[-1] or None, trial.ended)
 """
     done = subprocess.run(
