@@ -14,10 +14,11 @@ listed there are drawn and counted, but not tried. Neither are changes that by t
 kind alter nothing: sizes of letters and lines in figures, the bar of progress, sizes of
 caches and blocks, None in place of False, another negative number as the open length of
 `reshape`, and whether `zip` compares lengths, which differ by mistakes of programs
-only; seeds inside of functions, one more repetition of an iteration, how a function is
-compiled, and numbers of at most 1e-9 that are tolerances or keep a divisor from 0.
-Counts and limits of 0 or 1 are tried with `<=` in place of `<`. Other limits of
-real numbers, which no value meets exactly, are tried with `>`.
+only; seeds inside of functions, one more repetition of an iteration, one more of 100
+points or more that stand for all, how a function is compiled, and numbers of at most
+1e-9 that are tolerances or keep a divisor from 0. Counts and limits of 0 or 1 are tried
+with `<=` in place of `<`. Other limits of real numbers, which no value meets exactly,
+are tried with `>`.
 
 `--cover tests/unit --covering FILE` runs these tests once, and writes the tests that
 run each change of the sample to a file. A campaign with `--covering FILE` then runs
@@ -119,6 +120,8 @@ _HOW = re.compile(r"cache|nogil|optimize|check_finite|max_nfev|maxiter|seed")
 _TOLERANCE = re.compile(r"[afgrx]tol")
 #: Largest number that only keeps a divisor from 0, or ends an iteration.
 _TINY = 1e-9
+#: A sample of at least so many points is as good with one point more.
+_MANY = 100
 #: Functions whose numbers keep divisors from 0, if they are tiny.
 _GUARDS = frozenset({"max", "np.clip", "np.fmax", "np.maximum"})
 #: Counts, of which a comparison is changed by one.
@@ -276,7 +279,7 @@ def _is_of_reals(node: ast.Compare) -> bool:
 def _unseen(tree: ast.Module) -> set[int]:
     """Return parts whose change alters no result by its kind."""
     parts: list[ast.AST] = []
-    single: set[int] = set()
+    single: set[int] = _thinned_to(tree)
     for node in ast.walk(tree):
         match node:
             case ast.Call() if ast.unparse(node.func) in _UNSEEN:
@@ -314,6 +317,38 @@ def _unseen(tree: ast.Module) -> set[int]:
                     if isinstance(part, ast.UnaryOp) and ast.unparse(part) == "-1"
                 }
     return single | {id(part) for whole in parts for part in ast.walk(whole)}
+
+
+def _thinned_to(tree: ast.Module) -> set[int]:
+    """Return numbers of points that are looked at in place of all of many."""
+    steps = [
+        part.right
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Slice) and node.step is not None
+        for part in ast.walk(node.step)
+        if isinstance(part, ast.BinOp) and isinstance(part.op, ast.FloorDiv)
+    ]
+    names = {step.id for step in steps if isinstance(step, ast.Name)}
+    found: list[ast.expr] = [*steps]
+    for node in tree.body:
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=value) if name in names:
+                found.append(value)
+            case ast.Assign(
+                targets=[ast.Tuple(elts=left)], value=ast.Tuple(elts=right)
+            ):
+                found += [
+                    value
+                    for target, value in zip(left, right, strict=True)
+                    if isinstance(target, ast.Name) and target.id in names
+                ]
+    return {
+        id(part)
+        for part in found
+        if isinstance(part, ast.Constant)
+        and isinstance(part.value, int)
+        and part.value >= _MANY
+    }
 
 
 def _without_effect(call: ast.Call) -> set[int]:

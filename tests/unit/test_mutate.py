@@ -109,6 +109,15 @@ def test_seeds_repetitions_and_tiny_guards_are_not_tried(
     assert {
         one.said.partition(" ")[0] for one in tool.mutants_of(source) if one.unseen
     } == {"64", "True", "5", "1e-300", "1e-10", "1e-12", "6", "7", "8"}
+    # One more of so many points that stand for all; of 12 arrows each is seen.
+    source.write_text(
+        "_PLANES, _SOME = 300, 1500\n\n\ndef part(x):\n"
+        "    y = x[:: max(len(x) // _SOME, 1)]\n"
+        "    return y[:: max(len(y) // 2000, 1)], x[:: len(x) // 12]\n"
+    )
+    assert {one.said for one in tool.mutants_of(source) if one.unseen} == {
+        "1500 -> 1501", "2000 -> 2001"
+    }  # fmt: skip
     # A limit of a result, a default, and an iteration that ends early are tried.
     source.write_text(
         "_TOGETHER = 3.5\n\n\ndef part(x, seed=7):\n    for n in range(5):\n"
