@@ -326,13 +326,8 @@ def test_planned_degrees_follow_the_expected_f_test(repeats: int, degree: int) -
 
 def test_an_interpolation_error_is_the_distance_of_two_surfaces() -> None:
     signal = np.array([1.0, 2j, 0.0, 1.0, 1.0])
-    logarithm = np.log(np.array([1.01, 1.0, 0.5, 1.04, 20.0])) + [
-        0,
-        0.5j * np.pi,
-        0,
-        0,
-        0,
-    ]
+    logarithm = np.log(np.array([1.01, 1.0, 0.5, 1.04, 20.0])) + 0j
+    logarithm[1] += 0.5j * np.pi
     found = surface.disagreement(signal, logarithm, 2.0 + 0j)
     exact = 2.0 * np.minimum(np.exp(logarithm.real), 10) * np.exp(1j * logarithm.imag)
     off = exact - signal
