@@ -267,7 +267,7 @@ def test_errors_of_cross_validation_are_those_of_fits_without_a_direction(
 def test_directions_that_are_all_needed_lower_the_degree() -> None:
     direction = grid(3, 2)
     rng = np.random.default_rng(5)
-    signal = rng.standard_normal((1, 6)) + 2 + 0j
+    signal = (rng.standard_normal((1, 6)) + 2).astype(np.complex128)
     # Six terms for six directions leave no error; five are compared.
     found = surface.cross_validation_errors(signal, 3, direction)
     lower = surface.cross_validation_errors(signal, 3, direction, degrees=[2])
