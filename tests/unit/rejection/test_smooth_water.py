@@ -43,7 +43,9 @@ def test_a_field_is_scaled_to_one_at_its_edges() -> None:
 def drawn(seed: int, size: float = 1.0) -> np.ndarray:
     """Return real and imaginary terms and that of the range, of their sizes."""
     rng = np.random.default_rng(seed)
-    return size * rng.standard_normal(31) * np.append(np.tile(SIZES, 2), 0.1)
+    return np.asarray(
+        size * rng.standard_normal(31) * np.append(np.tile(SIZES, 2), 0.1)
+    )
 
 
 def water_of(terms: np.ndarray, target: np.ndarray) -> np.ndarray:
