@@ -82,6 +82,30 @@ def test_what_no_cut_can_undercut_is_below_each_of_them(
     assert alone <= problem._product(left, left) * (1 + 1e-9)
 
 
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0, 0.5))
+def test_the_bound_of_all_cuts_has_the_least_weight_of_each_sample(
+    seed: int, share: float
+) -> None:
+    left, water, each, errors = _drawn(seed)
+    left[0] *= 100
+    limits = share + np.array([0.0, 0.1, 0.2])
+    which = np.array([0, 1, 1, 2])
+    found = _problem(left, water, errors, which, None).surely_more_than(limits)
+    # Each frequency by its own limit, and five times a departure of 5 % of the water.
+    free = np.abs(left[:, 0]) - (limits[which] + 5 * 0.05) * np.abs(water[:, 0])
+    least = np.linalg.eigvalsh(np.linalg.inv(each))[:, 0]
+    assert_allclose(found, np.sum(least * np.maximum(free, 0) ** 2), rtol=1e-9)
+
+
+def test_samples_without_number_or_error_do_not_count() -> None:
+    left, water, _, errors = _drawn(5)
+    left[0], water[1] = np.nan, np.inf
+    errors.in_phase[2], errors.cross[2] = 0.0, 0.0
+    problem = _problem(left, water, errors, np.arange(SAMPLES), None)
+    assert problem.count.tolist() == [1]
+    assert np.isfinite(problem.misfit(np.array([0.2 + 0j]))).all()
+
+
 @pytest.mark.parametrize("depth", [1.9, 2.0, 2.61])
 def test_water_that_ends_between_two_depths_is_found_there(depth: float) -> None:
     wavenumber, fraction, sigma = np.array([2.0, 3.0]), 0.3, 0.01
