@@ -288,9 +288,10 @@ def test_edges_lie_in_all_directions_of_a_square(window: int) -> None:
 
 @pytest.mark.parametrize("shape", [(7, 9), (1, 12), (12, 1), (2, 2)])
 def test_windows_repeat_each_other_by_the_sum_of_their_correlations(shape) -> None:
-    # Means over 3 x 3 windows of white noise, and noise that is equal everywhere.
+    # White noise, noise that windows share in part, and noise that is equal everywhere.
     rng = np.random.default_rng(2)
-    for deviation in (rng.normal(size=shape), np.ones(shape)):
+    noise = rng.normal(size=shape)
+    for deviation in (noise, 0.5 + noise, np.ones(shape)):
         pairs = 0.0
         for first in np.ndindex(shape):
             for second in np.ndindex(shape):

@@ -31,10 +31,10 @@ def errors(variance: float, shape: tuple[int, ...]) -> Covariance:
 @pytest.mark.parametrize(
     ("phase", "probability", "real", "cause"),
     [
-        # A phase of 50 mrad, and a chance of one in a thousand.
-        (0.0501, 1e-4, True, WaterResidualCause.INSTRUMENT),
-        (0.0499, 1e-4, True, WaterResidualCause(0)),
-        (0.2, 0.3, False, WaterResidualCause(0)),
+        # A phase of 50 mrad, and a chance of one in ten thousand.
+        (0.0501, 0.99e-4, True, WaterResidualCause.INSTRUMENT),
+        (0.0499, 0.99e-4, True, WaterResidualCause(0)),
+        (0.2, 1.01e-4, False, WaterResidualCause(0)),
     ],
 )
 def test_a_large_and_real_phase_between_channels_has_a_cause(
@@ -124,9 +124,7 @@ def test_a_gain_is_the_median_of_the_shares_over_the_signal() -> None:
     target = np.array([[2.0, 1.0, 4.0, 8.0], [100.0, 100.0, 100.0, 100.0]])
     strongest = np.array([[3.0, 3.0, 3j, 3.0], [1.0, 1.0, 1.0, 1.0]])
     shown = np.array([[True, True, True, False]] * 2)
-    gain = phase_error_gain(
-        target + 0j, [3.0, 4.0], strongest=strongest, shown=shown
-    )
+    gain = phase_error_gain(target + 0j, [3.0, 4.0], strongest=strongest, shown=shown)
     # 5 times 3 over the median of three signals; never below that of one channel.
     assert_allclose(gain, [15 / 2, 1.0])
     none = phase_error_gain(
