@@ -71,10 +71,10 @@ def test_the_phase_between_channels_has_the_error_of_a_median() -> None:
     phases, scores = np.zeros(2), np.zeros(2)
     for f, (b, a) in itertools.product(range(2), itertools.combinations(range(3), 2)):
         use = shown & np.isfinite(signal[f, [a, b]]).all(axis=0)
-        off = np.angle(signal[f, a] / signal[f, b])[use]
-        phase = abs(np.median(off))
-        before = (signal - column)[f]
-        by_column = np.angle(signal[f, a] / signal[f, b] * before[b] / before[a])[use]
+        one, two = signal[f, a][use], signal[f, b][use]
+        phase = abs(np.median(np.angle(one / two)))
+        first, second = (signal - column)[f][[a, b]][:, use]
+        by_column = np.angle(one / two * second / first)
         bound = abs(np.median(by_column))
         # Of a median of normal errors, of two channels each.
         error = np.sqrt(2) * np.hypot(0.003, 1.2533 * 0.01 / np.sqrt(use.sum()))
