@@ -155,8 +155,9 @@ def test_flags_have_their_limits(observed: Observed) -> None:
     flag = flag_of(found)
     ambiguous, none = int(QualityFlag.AMBIGUOUS), int(QualityFlag.NO_TARGET)
     residual = int(QualityFlag.WATER_RESIDUAL)
-    expected = [0, ambiguous, none, 0, residual, none, none | residual,
-                int(QualityFlag.MIXED), none, none, int(QualityFlag.OUTLIER)]  # fmt: skip
+    mixed, outlier = int(QualityFlag.MIXED), int(QualityFlag.OUTLIER)
+    expected = [0, ambiguous, none, 0, residual, none, none | residual]
+    expected += [mixed, none, none, outlier]
     for n, value in enumerate(expected):
         assert (flag[:, n] == value).all(), n
     assert flag[:, 11].tolist() == [0, 0, int(QualityFlag.OUTLIER), 0, 0, 0]
