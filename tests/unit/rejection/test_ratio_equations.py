@@ -235,7 +235,7 @@ def test_stated_ratios_have_the_errors_of_their_channels(
 def test_a_phase_between_channels_turns_the_difference(by_hand: Make) -> None:
     cube = by_hand(frequency=FREQUENCIES, channels=PAIR, noise=1e-4)
     words: dict[str, Any] = {"water_fluctuation": 0.0}
-    module: Any = __import__("importlib").import_module("amulor.rejection.polarization")
+    module: Any = importlib.import_module("amulor.rejection.polarization")
     plain = rejection.polarization(cube, **words)
     ratio = rejection.water_ratio(cube)
     across = np.array([0.01, -0.02])
