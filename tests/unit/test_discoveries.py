@@ -35,3 +35,10 @@ def test_tests_that_are_not_handed_over_count() -> None:
 @pytest.mark.parametrize("chance", [np.array([]), np.array([np.nan]), np.ones(5)])
 def test_nothing_is_discovered_where_there_is_nothing(chance: np.ndarray) -> None:
     assert not (np.zeros(3) <= largest_discovered(chance, share=0.1)).any()
+
+
+def test_a_chance_of_just_its_share_is_a_discovery() -> None:
+    # 0.25 of 2 tests: 0.125 and 0.25 are exact.
+    assert largest_discovered(np.array([0.125, 0.75]), share=0.25) == 0.125
+    assert largest_discovered(np.array([0.1251, 0.75]), share=0.25) == -1.0
+    assert largest_discovered(np.array([0.2, 0.25]), share=0.25) == 0.25

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from threading import Thread
 
 import pytest
 import xarray as xr
@@ -27,14 +28,46 @@ def test_parts_of_parts_are_shares_of_the_whole() -> None:
             _progress.tell("second", 0.5)
             with _progress.part(0.5, 0.75):
                 _progress.tell("third", 1.0)
+        with _progress.part(0.9, 1.0), _progress.part(0.2, 0.4):
+            _progress.tell("fourth", 0.5)
         _progress.tell("last", 1.0)
 
     assert _told(work) == [
         ("first", 0.0),
         ("second", 0.75),
         ("third", 0.875),
+        # 0.3 of the last tenth.
+        ("fourth", pytest.approx(0.93)),
         ("last", 1.0),
     ]
+
+
+def test_a_delay_is_told_from_any_thread_and_then_the_step_again() -> None:
+    said: list[tuple[str, float]] = []
+    others: list[str] = []
+
+    def elsewhere(step: str) -> None:
+        thread = Thread(target=_progress.aside, args=(step,))
+        thread.start()
+        thread.join()
+
+    with _progress.listening(lambda step, share: others.append(step)):
+        with _progress.listening(lambda step, share: said.append((step, share))):
+            _progress.tell("fitting", 0.25)
+            elsewhere("compiling")
+            elsewhere("")
+            _progress.aside("compiling again")
+        # The share stays where it was.
+        assert said == [
+            ("fitting", 0.25), ("compiling", 0.25), ("fitting", 0.25),
+            ("compiling again", 0.25),
+        ]  # fmt: skip
+        assert others == []
+        # The inner listener is gone; the outer one hears of other threads.
+        elsewhere("compiling")
+        assert others == ["compiling"]
+    elsewhere("to nobody")
+    assert (len(said), len(others)) == (4, 1)
 
 
 def test_what_is_done_again_does_not_go_back() -> None:
