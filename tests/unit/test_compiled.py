@@ -11,7 +11,8 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 from numba.core.dispatcher import Dispatcher
@@ -450,3 +451,97 @@ def test_a_folder_of_its_own_serves_where_others_can_write(
     kept = _compiled._temporary_folder.__wrapped__()
     assert kept == tmp_path / f"amulor-compiled-{os.getuid()}"
     assert stat.S_IMODE(kept.stat().st_mode) == 0o700
+
+
+def test_a_temporary_folder_is_told_of_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(_compiled.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(_compiled, "_only_written_by", lambda *_: True)
+    found = [_compiled._temporary_folder.__wrapped__() for _ in range(2)]
+    assert found[0] == found[1]
+    (said,) = caplog.messages
+    assert f"compiled code is kept in {found[0]} until that is emptied" in said
+    # One that ends with the process is told of each time.
+    monkeypatch.setattr(_compiled, "_only_written_by", lambda *_: False)
+    for _ in range(2):
+        _compiled._temporary_folder.__wrapped__()
+    assert [text for text in caplog.messages if "each command compiles anew" in text]
+    assert len(caplog.messages) == 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "owner", "mode", "above_owner", "above_mode", "is_safe"),
+    [
+        (stat.S_IFDIR, 7, 0o700, 0, 0o755, True),
+        (stat.S_IFDIR, 7, 0o700, 7, 0o755, True),
+        (stat.S_IFDIR, 7, 0o700, 0, 0o1777, True),
+        # A link, another owner, a mode for others, and places that others can change.
+        (stat.S_IFLNK, 7, 0o700, 0, 0o755, False),
+        (stat.S_IFDIR, 8, 0o700, 0, 0o755, False),
+        (stat.S_IFDIR, 0, 0o700, 0, 0o755, False),
+        (stat.S_IFDIR, 7, 0o701, 0, 0o755, False),
+        (stat.S_IFDIR, 7, 0o600, 0, 0o755, False),
+        (stat.S_IFDIR, 7, 0o700, 1, 0o755, False),
+        (stat.S_IFDIR, 7, 0o700, 8, 0o755, False),
+        (stat.S_IFDIR, 7, 0o700, 0, 0o775, False),
+        (stat.S_IFDIR, 7, 0o700, 0, 0o757, False),
+        (stat.S_IFDIR, 7, 0o700, 8, 0o1755, False),
+    ],
+)
+def test_a_folder_is_safe_if_none_but_its_user_and_root_can_change_it(
+    kind: int, owner: int, mode: int, above_owner: int, above_mode: int, is_safe: bool
+) -> None:
+    def place(user: int, flags: int) -> Any:
+        return lambda: SimpleNamespace(st_uid=user, st_mode=flags)
+
+    above = SimpleNamespace(stat=place(above_owner, stat.S_IFDIR | above_mode))
+    folder: Any = SimpleNamespace(lstat=place(owner, kind | mode), parent=above)
+    assert _compiled._only_written_by(7, folder) is is_safe
+
+
+def test_compiling_tells_how_many_loops_are_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(_compiled._progress, "aside", said.append)
+    compiled: dict[str, list[int]] = {"outer": [], "inner": []}
+    loops = [SimpleNamespace(overloads=overloads) for overloads in compiled.values()]
+    monkeypatch.setattr(_compiled, "loops_behind", lambda loop: loops)
+    listener = _compiled._Compiling()
+    event = SimpleNamespace(data={"dispatcher": loops[0]})
+    listener.on_start(event)
+    listener.on_start(event)
+    listener.on_end(event)
+    assert len(said) == 2
+    compiled["inner"].append(1)
+    listener.on_start(event)
+    listener.on_end(event)
+    listener.on_end(event)
+    words = "compiling for this computer, once: "
+    assert said == [f"{words}{n} left" for n in ("2 loops", "2 loops", "1 loop")] + [""]
+    # Another signature of loops that have one.
+    compiled["outer"].append(1)
+    listener.on_start(event)
+    assert said[-1] == f"{words}1 loop left"
+
+
+def test_loops_behind_a_loop_are_those_that_it_calls() -> None:
+    names: dict[str, Any] = {"numba": _compiled.numba}
+    text = """
+@numba.njit
+def first(x):
+    return x
+
+@numba.njit
+def second(x):
+    return first(x) + abs(x)
+
+@numba.njit
+def third(x):
+    return second(x) + first(x)
+"""
+    exec(text, names)
+    found = _compiled.loops_behind(names["third"])
+    assert [loop.py_func.__name__ for loop in found] == ["third", "second", "first"]
+    assert _compiled.loops_behind(names["first"]) == [names["first"]]

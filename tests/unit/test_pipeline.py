@@ -297,3 +297,77 @@ def test_a_tile_has_its_own_rows_and_none_of_those_beside_them(halo: int) -> Non
         rows = made.tile(begin, end)["number"].values
         np.testing.assert_array_equal(rows[0], np.arange(begin, end))
         assert seen[-1] == (max(begin - halo, 0), min(end + halo, 12))
+
+
+def numbered(rows: int) -> xr.Dataset:
+    values = np.arange(2 * rows).reshape(rows, 2)
+    return xr.Dataset({"number": (("row", "column"), values)})
+
+
+@pytest.mark.parametrize("at_once", [1, 3, 20])
+@pytest.mark.parametrize(
+    "asked",
+    [
+        # Overlapping, with a gap, inside of the last one, backwards, and the same.
+        [(0, 4), (2, 7), (6, 12)],
+        [(3, 5), (8, 12), (9, 11), (9, 12), (0, 2), (0, 2)],
+        [(5, 9), (4, 6), (5, 12)],
+    ],
+)
+def test_rows_that_are_kept_are_those_of_the_source(
+    asked: list[tuple[int, int]], at_once: int
+) -> None:
+    cube = numbered(12)
+    read: list[int] = []
+
+    class Counted(tiles.InMemory):
+        def tile(self, begin: int, end: int) -> xr.Dataset:
+            read.extend(range(begin, end))
+            assert end - begin <= at_once
+            return super().tile(begin, end)
+
+    kept = pipeline._Kept(Counted(cube), at_once)
+    for begin, end in asked:
+        made = kept.tile(begin, end)
+        xr.testing.assert_identical(made, cube.isel(row=slice(begin, end)))
+    if asked[0] == (0, 4):
+        # No row is read twice where tiles ascend.
+        assert read == list(range(12))
+
+
+def test_rows_of_a_file_are_worked_on_in_tiles_without_being_asked(
+    plate: Survey, tmp_path: Path
+) -> None:
+    cube = simulate(plate, rng=1)
+    io.write_cube(cube, tmp_path / "samples.nc")
+    step: Any = SimpleNamespace(
+        halo=0, of=None, fit=lambda source: lambda tile, first: tile.assign_attrs(a=1)
+    )
+    with io.netcdf.open_rows(tmp_path / "samples.nc") as source:
+        made = list(run_step(step, source))
+    assert made[0][0] == 0
+    assert sum(tile.sizes["row"] for _, tile in made) == cube.sizes["row"]
+    assert {tile.attrs["a"] for _, tile in made} == {1}
+
+
+def test_a_small_file_is_in_memory_unless_rows_are_stated(
+    plate: Survey, tmp_path: Path
+) -> None:
+    io.write_cube(simulate(plate, rng=1), tmp_path / "samples.nc")
+    path = tmp_path / "samples.nc"
+    with pipeline.opened(path, level="samples") as source:
+        assert isinstance(source, tiles.InMemory)
+        # Methods are compared on the cube itself, or on a sample without the truth.
+        assert pipeline._judged(source, None) is source.cube
+        judged = pipeline._judged(source, 2)
+    assert any(str(name).startswith("truth_") for name in source.cube)
+    assert not any(str(name).startswith("truth_") for name in judged)
+    with pipeline.opened(path, 2, level="samples") as source:
+        assert not isinstance(source, tiles.InMemory)
+
+
+@pytest.mark.parametrize("rows", [0, -1])
+def test_a_tile_without_rows_is_refused(rows: int) -> None:
+    step: Any = None
+    with pytest.raises(ValueError, match=f"a tile has 1 row at least, got {rows}"):
+        next(run_step(step, tiles.InMemory(numbered(3)), rows=rows))

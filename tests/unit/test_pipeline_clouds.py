@@ -147,3 +147,19 @@ def test_what_is_no_cloud_leaves_no_file(image: xr.Dataset, tmp_path: Path) -> N
     assert not output.exists()
     io.write_cube(image, name, overwrite=True)
     assert isinstance(cloud_file(name, output), CloudSummary)
+
+
+def test_a_cloud_of_unknown_errors_says_why(image: xr.Dataset, tmp_path: Path) -> None:
+    flag = image["quality_flag"].values.copy()
+    # The last row alone is raw.
+    flag[-1] |= QualityFlag.NO_OPEN_WATER
+    io.write_cube(image, tmp_path / "known.nc")
+    raw = image.assign(quality_flag=image["quality_flag"].copy(data=flag))
+    io.write_cube(raw, tmp_path / "raw.nc")
+    said = [
+        cloud_file(tmp_path / f"{name}.nc", tmp_path / f"{name}.ply", rows=2)
+        for name in ("known", "raw")
+    ]
+    assert said[0].error_unknown == ""
+    assert said[1].error_unknown.startswith("water not removed: error unknown")
+    assert said[1].points == said[0].points
