@@ -43,6 +43,7 @@ def test_modules_and_names_come_when_they_are_used(lazy_example):
 def test_only_public_names_are_shown_and_reached(lazy_example):
     shown = [name for name in dir(lazy_example) if not name.startswith("__")]
     assert shown == ["inner", "ten", "there"]
+    assert {"__name__", "__all__", "__getattr__"} <= set(dir(lazy_example))
     with pytest.raises(AttributeError, match="'lazy_example' has no attribute 'numb"):
         lazy_example.numbers  # noqa: B018
 
