@@ -180,8 +180,12 @@ def test_points_agree_within_seven_tenths_of_the_wider_spacing(
     assert int(masks["a", "b"].sum()) == agree
 
 
+#: Where the beams of a scan begin, in its own axes [m].
+BEAMS = np.array([0.3, -0.2, 0.1])
+
+
 def ranged(distance: np.ndarray, own: float = 1e-3) -> Any:
-    """Return a scan with an angle of 10 mrad from pixel to pixel, from the origin."""
+    """Return a scan with an angle of 10 mrad from pixel to pixel, from `BEAMS`."""
     rows, columns = distance.shape
     x, y = np.meshgrid(
         0.01 * (np.arange(columns) - columns // 2), 0.01 * (np.arange(rows) - rows // 2)
@@ -189,7 +193,7 @@ def ranged(distance: np.ndarray, own: float = 1e-3) -> Any:
     direction = np.stack([x, y, 1 + 0 * x], axis=-1)
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     return SimpleNamespace(
-        usable=np.isfinite(distance), origin=np.zeros_like(direction),
+        usable=np.isfinite(distance), origin=np.zeros_like(direction) + BEAMS,
         direction=direction, distance=distance, own=np.full(distance.shape, own),
         spacing=0.02, motion=None,
         shared=SimpleNamespace(keys=(), shapes=np.zeros((0, rows, columns))),

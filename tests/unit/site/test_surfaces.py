@@ -110,6 +110,64 @@ def test_a_step_is_not_smooth_in_any_window_that_contains_it() -> None:
     assert surface.smooth[3:-3, 18:-3].mean() > 0.98
 
 
+@pytest.mark.parametrize(("size", "is_smooth"), [(0.98, True), (1.02, False)])
+@pytest.mark.parametrize("scatter", [1.0, 2.0, 4.0])
+def test_a_window_is_smooth_below_its_limit_of_chi_square(
+    scatter: float, size: float, is_smooth: bool
+) -> None:
+    # Waves of the rows that no polynomial of degree four follows, of which each window
+    # contains seven rows with equal signs in turn: the usual scatter.
+    image = plane()
+    distance = 3.0 * image["slant_range"].values / 2.0
+    inverse = 1 / distance
+    noise = OWN / distance**2
+    row, column = np.mgrid[-3:4, -3:4]
+    terms = [(row**i * column**j).ravel() for i in range(5) for j in range(5 - i)]
+    hat = np.linalg.pinv(np.stack(terms, axis=1).astype(float))
+    rest = np.eye(49) - np.stack(terms, axis=1) @ hat
+    board = np.where((row + column) % 2 == 0, 1.0, -1.0).ravel()
+    # Sums of squares of residuals of a board of size 1, and of a point in its middle.
+    of_board, of_point = float(board @ rest @ board), float(rest[24, 24])
+    both = float(rest[24] @ board)
+    usual = scatter if scatter > 1 else 1.0
+    # Five times the scatter of chi-squares with 34 degrees of freedom, 2 / 34; where
+    # the usual scatter is three or more, three times it.
+    most = 1 + 5 * (2 / 34) ** 0.5 if usual < 3 else 3.0
+    base = (34 * scatter / of_board) ** 0.5 if scatter > 1 else 0.0
+    signs = np.where(np.add.outer(np.arange(24), np.arange(30)) % 2 == 0, 1.0, -1.0)
+    signs *= signs[12, 15]
+    # base^2 of_board + 2 base x both + x^2 of_point = 34 most usual.
+    a, b, c = of_point, 2 * base * both, base**2 * of_board - 34 * most * usual
+    point = (-b + (b * b - 4 * a * c) ** 0.5) / (2 * a)
+    moved = inverse + base * signs * noise
+    moved[12, 15] += size * point * noise[12, 15]
+    other = image["slant_range"].copy(data=1 / moved)
+    surface = surface_of(image.assign(slant_range=other))
+    # Noise varies by some percent over a window of this plane, and means are of those.
+    assert surface.smooth[12, 15] == is_smooth
+
+
+def test_normals_have_the_noise_of_slopes_of_second_degree() -> None:
+    rng = np.random.default_rng(6)
+    noise = OWN * rng.normal(size=(24, 30))
+    image = plane()
+    surface = surface_of(image.assign(slant_range=image["slant_range"] + noise))
+    # Slopes of 7 x 7 points have 1 / 14 of the noise of one, over a spacing; of the
+    # third degree it would be 2.4 times as much.
+    expected = OWN / 14 / surface.spacing
+    found = surface.normal[surface.smooth].std(axis=0)[:2]
+    np.testing.assert_allclose(found, expected, rtol=0.5)
+
+
+def test_normals_face_the_instrument_in_whichever_order_rows_are() -> None:
+    image = plane()
+    for turned in (image.isel(row=slice(None, None, -1)), image):
+        surface = surface_of(turned)
+        np.testing.assert_allclose(
+            surface.normal[surface.smooth].mean(axis=0), NORMAL, atol=1e-4
+        )
+
+
 def test_noise_ten_times_larger_than_stated_is_smooth_as_everywhere_else() -> None:
     # The limit grows with the usual scatter, so that poor statements leave surfaces.
     rng = np.random.default_rng(5)
@@ -174,6 +232,9 @@ def test_the_spacing_is_the_median_along_rows_of_smooth_pixels() -> None:
     # Only steps between two smooth pixels count: here those of the first columns.
     smooth[:, 2:] = False
     bent = np.where(np.arange(6) < 2, 2.0, steep)
+    assert grid_scan(bent[:, ::-1], smooth=smooth[:, ::-1]).spacing == pytest.approx(
+        0.01
+    )
     assert grid_scan(bent, smooth=smooth).spacing == pytest.approx(0.01)
     assert np.isnan(grid_scan(flat, smooth=np.zeros_like(smooth)).spacing)
 
@@ -288,14 +349,33 @@ def test_errors_of_the_water_turn_with_the_phase_of_the_modulation(name: str) ->
     )
 
 
+def test_errors_of_the_water_are_means_over_frequencies() -> None:
+    image = image_of([[2.0, 2.3, 2.9, 3.1]], uncertainty_column=1e-3)
+    frequencies = [2e7, 5e7, 9e7]
+    found = errors_of(image.assign_attrs(modulation_frequencies=frequencies))
+    shapes = np.array([shape.ravel() for shape, _ in found.values()])
+    factor = 4 * np.pi * np.array(frequencies) * 1.35 / LIGHT
+    apart = image["slant_range"].values.T - image["slant_range"].values
+    expected = np.mean([np.cos(one * apart) for one in factor], axis=0)
+    assert_allclose(shapes.T @ shapes, 1e-6 * expected, atol=1e-14)
+
+
 def test_the_rest_of_the_common_error_turns_with_the_phase_too() -> None:
     image = image_of(
-        [[2.0, 2.3, 2.9, 3.1]], uncertainty_delay=3e-3, common_uncertainty=5e-3
+        [[2.0, 2.3, 2.9, 3.1]], uncertainty_delay=3e-3, uncertainty_column=4e-3,
+        common_uncertainty=13e-3,
+    )  # fmt: skip
+    found = {key: one for key, one in errors_of(image).items() if "shape" in key}
+    shapes, slopes = (
+        np.array([one[n].ravel() for one in found.values()]) for n in (0, 1)
     )
-    found = errors_of(image)
-    shapes = np.array([shape.ravel() for key, (shape, _) in found.items() if "shape" in key])  # fmt: skip  # noqa: E501
-    # Of 5 mm, 3 mm are the delay, so 4 mm are left.
-    assert_allclose((shapes**2).sum(axis=0), 1.6e-5)
+    # 3, 4 and 12 are 13: of the delay, of the column, and of the rest.
+    assert_allclose((shapes**2).sum(axis=0), 1.6e-5 + 1.44e-4)
+    factor = 4 * np.pi * 5e7 * 1.35 / LIGHT
+    apart = image["slant_range"].values.T - image["slant_range"].values
+    assert_allclose(
+        slopes.T @ shapes, -1.6e-4 * factor * np.sin(factor * apart), atol=1e-10
+    )
 
 
 def test_functions_of_the_open_water_fit_have_squares_that_add_up_to_one() -> None:
