@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from amulor.errors import SurveyError
 from amulor.simulation import geometry
-from amulor.survey import Survey
+from amulor.survey import Survey, properties, reach
+from amulor.survey.directions import scan_directions
 from amulor.survey.reach import target_reach
 
 WINDOW = '\n[instrument.window]\ndistance = "20 cm"\nthickness = "2 cm"\n'
@@ -97,3 +101,73 @@ unit = "mm"
     assert reach == pytest.approx((1.4, 1.6), rel=2e-3)
     file.unlink()
     assert target_reach(survey) is None
+
+
+@pytest.mark.parametrize(
+    ("place", "along", "expected"),
+    [
+        # A box from -1 to 1 in each coordinate, and beams along the third axis.
+        ((0.0, 0.0, -5.0), (0, 0, 1), (4.0, 6.0)),
+        ((0.0, 0.0, 0.5), (0, 0, 1), (0.0, 0.5)),
+        ((0.0, 0.0, 5.0), (0, 0, 1), None),
+        ((0.99, 0.0, -5.0), (0, 0, 1), (4.0, 6.0)),
+        ((-0.99, 0.0, -5.0), (0, 0, 1), (4.0, 6.0)),
+        ((1.01, 0.0, -5.0), (0, 0, 1), None),
+        ((-1.01, 0.0, -5.0), (0, 0, 1), None),
+        ((0.0, 1.01, -5.0), (0, 0, 1), None),
+        ((0.0, -1.01, -5.0), (0, 0, 1), None),
+        # Through two edges: from x = -1 to z = 1.
+        ((-3.0, 0.0, -2.0), (0.6, 0, 0.8), (2 / 0.6, 3 / 0.8)),
+        ((-3.0, 0.0, -0.5), (0.6, 0, 0.8), None),
+    ],
+)
+def test_a_beam_enters_and_leaves_a_box(
+    place: tuple[float, ...], along: tuple[float, ...],
+    expected: tuple[float, float] | None,
+) -> None:  # fmt: skip
+    offset = np.array([7.0, -3.0, 2.0])
+    beam: Any = SimpleNamespace(
+        entry=np.array([place]) + offset, direction=np.array([along], dtype=float)
+    )
+    low, high = np.full(3, -1.0), np.full(3, 1.0)
+    (found,) = reach._crossing(beam, np.eye(3), offset, low, high)
+    if expected is None:
+        assert np.isnan(found).all()
+    else:
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(1, 6), (2, 6), (12, 1), (12, 2)])
+def test_beams_go_to_the_edges_of_a_scan_of_several_lines(
+    plate_text: str, columns: int, rows: int
+) -> None:
+    text = plate_text.replace("columns = 12", f"columns = {columns}")
+    survey = Survey.from_text(text.replace("rows = 6", f"rows = {rows}"))
+    beams = reach._beams(survey).direction.reshape(rows, columns, 3)
+    right, down = beams[0, :, 0], beams[:, 0, 1]
+    scan = survey.scan
+    if columns == 1:
+        assert right == pytest.approx(np.sin(scan.azimuth), abs=1e-3)
+    else:
+        expected = 2 * np.sin(scan.azimuth_span / 2)
+        assert right[-1] - right[0] == pytest.approx(expected, rel=0.02)
+    if rows > 1:
+        expected = 2 * np.sin(scan.elevation_span / 2)
+        assert down[-1] - down[0] == pytest.approx(expected, rel=0.02)
+
+
+def test_directions_of_a_scan_beyond_memory_are_those_of_some_rows(
+    plate_text: str,
+) -> None:
+    text = plate_text.replace("columns = 12\nrows = 6", "columns = 20000\nrows = 20000")
+    survey = Survey.from_text(text)
+    with pytest.raises(SurveyError, match="fit into memory here"):
+        scan_directions(survey)
+    azimuth, _, time = scan_directions(survey, rows=slice(3, 5), columns=slice(0, 7))
+    assert azimuth.shape == time.shape == (2, 7)
+
+
+def test_water_that_states_no_scattering_has_no_moments() -> None:
+    survey: Any = SimpleNamespace(water=SimpleNamespace(split_angle=0.5))
+    optics: Any = SimpleNamespace(phase_function=None, scattering=0.0)
+    assert properties._moments(survey, optics) == (0.0, 0.0, 0.0)
