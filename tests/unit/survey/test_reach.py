@@ -11,8 +11,9 @@ import pytest
 
 from amulor.errors import SurveyError
 from amulor.simulation import geometry
-from amulor.survey import Survey, properties, reach
+from amulor.survey import Survey, course, properties, reach
 from amulor.survey.directions import scan_directions
+from amulor.survey.platform import HoverCourse
 from amulor.survey.reach import target_reach
 
 WINDOW = '\n[instrument.window]\ndistance = "20 cm"\nthickness = "2 cm"\n'
@@ -171,3 +172,60 @@ def test_water_that_states_no_scattering_has_no_moments() -> None:
     survey: Any = SimpleNamespace(water=SimpleNamespace(split_angle=0.5))
     optics: Any = SimpleNamespace(phase_function=None, scattering=0.0)
     assert properties._moments(survey, optics) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "step"),
+    [([20e6, 50e6, 90e6], 20e6), ([50e6, 60e6, 90e6], 10e6), ([39e6], 39e6)],
+)
+def test_phases_repeat_by_the_smallest_step_of_frequencies_and_zero(
+    frequencies: list[float], step: float
+) -> None:
+    expected = 299_792_458.0 / (2 * 1.35 * step)
+    found = reach.repetition(frequencies, group_index=1.35)
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("hovers", [False, True])
+def test_the_speed_of_a_vehicle_has_course_current_and_swell(hovers: bool) -> None:
+    wave = SimpleNamespace(
+        period=4.0, position=0.1, current=(0.3, 0.4, 0.0), heading=0.02, pitch=0.1,
+        roll=0.05,
+    )  # fmt: skip
+    moving: Any = SimpleNamespace(speed=0.7)
+    at_rest = HoverCourse.model_construct()
+    platform: Any = SimpleNamespace(
+        course=at_rest if hovers else moving, disturbance=wave
+    )
+    steady = 0.5 if hovers else 1.2
+    swell = 2 * math.pi / 4 * 0.1
+    assert course.planned_speed(platform) == pytest.approx(steady + swell)
+    # By hand: directions at random, quicker waves by 1.16, and 1 m of lever.
+    turn = (0.02**2 + 0.1**2 + 0.05**2) ** 0.5
+    size = (0.1**2 + turn**2) ** 0.5
+    rate, change = course.range_rate(platform)
+    quick = 1.16 * 2 * math.pi / 4 * size
+    assert rate == pytest.approx((steady**2 / 3 + quick**2) ** 0.5)
+    assert change == pytest.approx(1.69 * (math.pi / 2) ** 2 * size)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "complaint"),
+    [
+        ('"1 mV"', ""),
+        ('["1 mV"]', ""),
+        (
+            '["1 mV", "2 mV"]',
+            "errors.crosstalk.amplitude has 2 values for 1 modulation",
+        ),
+    ],
+)
+def test_crosstalk_has_a_value_for_all_frequencies_or_for_each(
+    plate_text: str, amplitude: str, complaint: str
+) -> None:
+    text = f"{plate_text}\n[instrument.errors.crosstalk]\namplitude = {amplitude}\n"
+    if complaint:
+        with pytest.raises(SurveyError, match=complaint):
+            Survey.from_text(text)
+    else:
+        assert Survey.from_text(text).instrument.errors is not None
