@@ -273,3 +273,40 @@ def test_the_channel_of_least_uncertainty_is_taken(
     assert module._image(target, None).attrs["channel"] == "HH"
     joint = target.assign(joint_slant_range=0.0)
     assert module._image(joint, None).attrs["channel"] == "VV"
+
+
+def test_noise_is_that_of_the_channel_of_least_phase_error(
+    monkeypatch: pytest.MonkeyPatch, tank: Survey
+) -> None:
+    rng = np.random.default_rng(5)
+    shape = 2, 2, 1, 1
+    parts = rng.standard_normal((2, *shape))
+    volt = 1 + 0.1 * (parts[0] + 1j * parts[1])
+    # The second channel has a fifth of the noise.
+    size = rng.uniform(0.01, 0.02, (2, *shape)) * np.array([1.0, 0.2])[:, None, None]
+    both = 0.4 * size.prod(axis=0)
+    truth = {
+        "target_in_phase": _values(volt.real),
+        "target_quadrature": _values(volt.imag),
+    }
+    names = ("in_phase_uncertainty", "quadrature_uncertainty")
+    samples = dict(zip(names, map(_values, size), strict=True))
+
+    class Samples(dict[str, Any]):
+        amulor = SimpleNamespace(truth=truth, covariance=SimpleNamespace(values=both))
+
+    given = Samples(samples)
+    monkeypatch.setattr(module, "simulate", lambda survey, rng: given)
+    echo = np.array([0.5 * np.exp(0.3j), 0.2 * np.exp(-1.0j)])
+    found = module._noise(tank, echo)
+    for f in range(2):
+        index = f, 1, 0, 0
+        square = np.array([[size[0][index] ** 2, both[index]],
+                           [both[index], size[1][index] ** 2]])  # fmt: skip
+        factor = echo[f] / volt[index]
+        turn = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]])
+        assert_allclose(found[f], turn @ square @ turn.T, rtol=1e-9)
+
+
+def _values(values: np.ndarray) -> xr.DataArray:
+    return xr.DataArray(values, dims=tuple("fpij"))

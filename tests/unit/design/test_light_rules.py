@@ -15,7 +15,9 @@ from numpy.testing import assert_allclose
 from amulor.design import Goal, geometry, light
 from amulor.design.candidates import first_choice
 from amulor.design.light import Looks, case_of, late_uncertainty, values_on_axes
+from amulor.optics import rays
 from amulor.survey import Survey, water_properties
+from amulor.survey.view import line_of_sight, medium_of
 
 #: The package has a function of the same name.
 sensitivity: Any = importlib.import_module("amulor.design.sensitivity")
@@ -252,3 +254,43 @@ def test_ranges_of_assumptions_end_at_one(goal_text: str) -> None:
     dark = goal.model_copy(update={"detector": none})
     axes = {one.axis for one in sensitivity.uncertain(dark, first_choice(dark))}
     assert "dark_rate" not in axes
+
+
+def test_a_receiver_moves_away_from_its_emitter(tank: Survey) -> None:
+    aside = tank.with_(
+        {
+            "instrument.emitter.position": [0.1, -0.2, 0.05],
+            "instrument.receiver.position": [0.4, 0.2, 0.05],
+        }
+    )
+    found = geometry.with_receiver(aside, baseline=1.0, aim=2.0)
+    receiver = found.instrument.receiver
+    # Along the same direction, 0.6 to the right and 0.8 down.
+    assert receiver.position == pytest.approx((0.7, 0.6, 0.05))
+    # Its axis meets the beam, which goes straight ahead, two meters on.
+    way = np.array([0.1, -0.2, 2.05]) - receiver.position
+    assert receiver.azimuth == pytest.approx(math.atan2(way[0], way[2]))
+    elevation = -math.asin(way[1] / np.linalg.norm(way))
+    assert receiver.elevation == pytest.approx(elevation)
+    assert geometry.aim_of(found) == pytest.approx(2.0, rel=0.15)
+
+
+def test_behind_a_window_the_axis_meets_the_beam_where_it_is_aimed(
+    tank: Survey,
+) -> None:
+    window = {"distance": "20 cm", "thickness": "1 cm"}
+    behind = tank.with_({"instrument.window": window})
+    for aim in (1.0, 3.0):
+        found = geometry.with_receiver(behind, baseline=0.15, aim=aim)
+        seen = geometry.place_of(found, np.array([aim]))
+        # Of the receiver's own ray, in the water: both meet at the aim.
+        sight = line_of_sight(found, np.zeros(()), np.zeros(()))
+        beam = rays.enter_water(
+            found.instrument.emitter.position,
+            rays.direction(np.zeros(()), np.zeros(())),
+            medium=medium_of(found),
+        )
+        point = beam.entry + seen.depth[0] * beam.direction
+        way = point - sight.entry
+        off = way - (way @ sight.direction) * sight.direction
+        assert np.linalg.norm(off) < 1e-5
