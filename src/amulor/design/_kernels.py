@@ -332,6 +332,10 @@ def fill_columns(
         water[look, count] = sums
 
 
+#: Errors of a phase beyond which it is lost: counting noise, all together [rad].
+_COUNTING, _LOST = 0.2, 0.3
+
+
 @numba.njit(cache=True, error_model="numpy")
 def phase_errors(
     method: int, channel: int, x: Floats, passed: Floats, scratch: Scratch
@@ -354,7 +358,7 @@ def phase_errors(
         if method in (KEPT, ONE_FREQUENCY):
             aim = aim + scratch.water[k, channel]
             weight[channel] = 1.0
-        elif method == OPEN_WATER:
+        elif method in (OPEN_WATER, JOINT):
             weight[channel] = 1.0
         else:
             aim = scratch.target[k, 0]
@@ -395,6 +399,18 @@ def _mix(
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _amplified(water: complex, column: complex) -> float:
+    """Factor of the variance of open water in that of the water before the target.
+
+    The water before the target is a model's multiple of the open water. Where the light
+    from all depths cancels, the multiple is large, and as uncertain as the turbidity
+    that the noise of the shots leaves open.
+    """
+    square = (abs(water) / max(abs(column), 1e-300)) ** 2
+    return square * max(square, 1.0)
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _add_noise(
     method: int, k: int, x: Floats, weight: Floats, aim: complex, scratch: Scratch
 ) -> None:
@@ -414,9 +430,12 @@ def _add_noise(
         variance[R_FLOOR] += square_weight * (x[FLOOR] * turned) ** 2
         moved = square_weight * (x[FLUCTUATION] * across(water, aim)) ** 2
         variance[R_FLUCTUATION] += moved
-        if method in (OPEN_WATER, COMBINED):
+        if method in (OPEN_WATER, COMBINED, JOINT):
             rate = scratch.open_rate[c] + scratch.sky_rate[c] + x[DARK]
-            variance[R_REFERENCE] += x[REFERENCE] * (counted * rate + moved)
+            noise = counted * rate
+            if method != JOINT:
+                noise *= _amplified(water, scratch.open_water[k, c])
+            variance[R_REFERENCE] += x[REFERENCE] * (noise + moved)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -573,10 +592,6 @@ def _terms(
     bias[B_COLUMN] = x[DEPARTURE] * np.sqrt(departed)
 
 
-#: Errors of a phase beyond which it is lost: counting noise, all together [rad].
-_COUNTING, _LOST = 0.2, 0.3
-
-
 @numba.njit(cache=True, error_model="numpy")
 def _phase_variance(k: int, scratch: Scratch) -> float:
     """Total random phase variance at one frequency [rad^2]."""
@@ -648,7 +663,7 @@ def _jointly(x: Floats, passed: Floats, scratch: Scratch, row: Floats) -> None:
     for c in range(passed.shape[1]):
         if passed[0, c] > passed[0, best]:
             best = c
-    phase_errors(OPEN_WATER, best, x, passed, scratch)
+    phase_errors(JOINT, best, x, passed, scratch)
     _combine(-1, x, scratch, row)
     variance = np.zeros(scratch.variance.shape[1])
     bias = np.zeros(scratch.bias.shape[1])

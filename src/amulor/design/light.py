@@ -41,6 +41,9 @@ Floats = NDArray[np.float64]
 
 #: Knots of the logarithm of the overlap, evenly in the logarithm of the depth.
 _KNOTS = 64
+#: Second difference beyond which a step between knots is divided, and its parts; and
+#: the logarithm of the overlap below the largest, from which on it does not matter.
+_BEND, _FINER, _FAINT = 0.1, 4, 20.0
 #: First knot [m]: in front of it the overlap is that of the knot.
 _NEAREST = 5e-3
 #: Growth of the panels of the integral, and their points.
@@ -107,9 +110,7 @@ def columns(
     applied to panels between the requested depths, so that one sum gives all depths.
     """
     farthest = _farthest(survey, looks, depth)
-    knots = np.geomspace(_NEAREST, farthest, _KNOTS)
-    place = np.log(knots)
-    logarithm = _log_overlap(survey, water, looks, knots)
+    place, logarithm = _knots(survey, water, looks, farthest)
     spline = CubicSpline(place, logarithm, axis=1)
     # Where the view of the receiver begins, a smooth spline swings far above the light.
     steep = logarithm.min(axis=1) < _STEEP
@@ -131,6 +132,28 @@ def columns(
     return Columns(
         mean=vsf[:, None] * mean,
         water=np.asarray(vsf[:, None, None] * summed),
+    )
+
+
+def _knots(
+    survey: Survey, water: WaterProperties, looks: Looks, farthest: float
+) -> tuple[Floats, Floats]:
+    """Logarithms of knots and of the overlap there, with more of them at bends."""
+    place = np.linspace(math.log(_NEAREST), math.log(farthest), _KNOTS)
+    logarithm = _log_overlap(survey, water, looks, np.exp(place))
+    bend = np.abs(np.diff(logarithm, 2, axis=1))
+    lit = logarithm > logarithm.max(axis=1, keepdims=True) - _FAINT
+    bent = np.where(lit[:, 1:-1] | lit[:, 2:], bend, 0.0).max(axis=0) > _BEND
+    between = np.flatnonzero(np.append(bent, False) | np.append(False, bent))
+    step = (place[1] - place[0]) / _FINER
+    more = (place[between, None] + step * np.arange(1, _FINER)).ravel()
+    if not more.size:
+        return place, logarithm
+    order = np.argsort(np.append(place, more))
+    finer = _log_overlap(survey, water, looks, np.exp(more))
+    return (
+        np.append(place, more)[order],
+        np.append(logarithm, finer, axis=1)[:, order],
     )
 
 

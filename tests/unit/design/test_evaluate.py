@@ -8,9 +8,10 @@ import xarray as xr
 from numpy.testing import assert_allclose
 from scipy.constants import Planck, speed_of_light
 
-from amulor.design import TERMS, evaluate
-from amulor.design._kernels import assess, astray
+from amulor.design import TERMS, evaluate, geometry
+from amulor.design._kernels import _amplified, assess, astray
 from amulor.design.axes import AXES, arranged
+from amulor.design.light import case_of, lit
 from amulor.design.numbers import _repetition
 from amulor.errors import SurveyError
 from amulor.optics import ambiguity
@@ -300,3 +301,42 @@ def test_an_analyzer_passes_half_of_the_daylight(tank) -> None:
     )
     # Half of the noise's square, and half of the echo of an ideal depolarizer.
     assert behind / bare == pytest.approx(np.sqrt(0.5) / 0.5, rel=0.01)
+
+
+def test_open_water_of_a_narrow_view_is_that_of_the_simulation(tank: Survey) -> None:
+    """The view begins in front of the crossing; behind it, light cancels at 200 MHz."""
+    frequency = np.array([39e6, 120e6, 200e6])
+    narrow = geometry.with_receiver(
+        tank.with_(
+            {
+                "scan.columns": 1,
+                "scan.rows": 1,
+                "instrument.receiver.acceptance": 0.02,
+                "instrument.modulation_frequencies": frequency.tolist(),
+            }
+        ),
+        baseline=0.15,
+        aim=3.7,
+    )
+    water = water_properties(narrow)
+    found = lit(
+        case_of(narrow, water), {"distance": np.array([3.7])}, frequency, joint=False
+    ).light.water[0, 0]
+    seen = view(narrow, np.zeros((1, 1)), np.zeros((1, 1)))
+    model, common = SmallAngleModel(), {"survey": narrow, "water": water, "view": seen}
+    before, all_of_it = (
+        model.column(
+            frequency[:, None, None], end=np.full((1, 1), end), **common
+        ).ravel()
+        for end in (3.7, 60.0)
+    )
+    # In parts of the water before the target, which is the larger one.
+    assert_allclose(abs(found[0] / before - 1), 0.0, atol=0.004)
+    assert_allclose(abs(found[1] - all_of_it) / abs(before), 0.0, atol=0.004)
+    assert abs(all_of_it[2] / before[2]) < 0.3
+
+
+def test_water_before_the_target_has_the_noise_of_its_multiple() -> None:
+    assert _amplified(1 + 1j, 2 - 2j) == pytest.approx(0.25)
+    assert _amplified(1j, 1.0) == pytest.approx(1.0)
+    assert _amplified(3j, 1.0) == pytest.approx(81.0)
