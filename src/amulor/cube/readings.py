@@ -37,7 +37,7 @@ def range_motion(lag: Floats, survey: Survey, weight: Floats) -> Floats:
     time of the readings with given weights, as are the poses of their points.
     """
     assert survey.platform is not None
-    rate = max(range_rate(survey.platform)[0], LEAST_RATE)
+    rate = max(float(range_rate(survey.platform)[0]), LEAST_RATE)
     return rate * _since(lag, weight)
 
 

@@ -6,6 +6,7 @@ from amulor.design.evaluate import TERMS, evaluate
 from amulor.design.goal import Goal, json_schema
 from amulor.design.recommend import Between, Bound, Choice, Recommendation, recommend
 from amulor.design.requirements import Requirement, Shortfall
+from amulor.design.vehicle import Lines
 
 __all__ = [
     "AXES",
@@ -14,6 +15,7 @@ __all__ = [
     "Bound",
     "Choice",
     "Goal",
+    "Lines",
     "Parameters",
     "Recommendation",
     "Requirement",

@@ -47,6 +47,7 @@ NUMBERS = (
     "far",  # farthest one [m]
     "distance",  # slant range [m]
     "depth",  # modulation depth [1]
+    "motion",  # change of the range from reading to reading, rms [m]
 )
 (
     RATE,
@@ -69,6 +70,7 @@ NUMBERS = (
     FAR,
     DISTANCE,
     DEPTH,
+    MOTION,
 ) = range(len(NUMBERS))
 
 #: Random terms of the phase error, then systematic ones.
@@ -235,7 +237,12 @@ _MOST = 400
 
 @numba.njit(cache=True, error_model="numpy")
 def astray(
-    to_range: Floats, variance: Floats, distance: float, near: float, far: float
+    to_range: Floats,
+    variance: Floats,
+    motion: float,
+    distance: float,
+    near: float,
+    far: float,
 ) -> tuple[float, float]:
     """Probability of a wrong ambiguity interval, and its mean square range error [m^2].
 
@@ -244,20 +251,26 @@ def astray(
     most precise frequency. At a distance of D standard errors, a candidate is chosen
     with the probability Q(D / 2) that normal errors move the phases past the middle.
     The sum of these is an upper limit, and nearly the probability if it is small.
+
+    From one frequency to the next the range changes by `motion` times an unknown
+    standard normal number [m], which explains part of the misfit.
     """
     best = -1
-    total = 0.0
+    total, along, rated = 0.0, 0.0, 1.0
     for k in range(to_range.size):
         if to_range[k] <= 0.0 or not variance[k] < np.inf:
             continue
         precision = 1.0 / (to_range[k] ** 2 * max(variance[k], 1e-18))
         total += precision
+        along += precision * k * motion
+        rated += precision * (k * motion) ** 2
         if best < 0 or precision > 1.0 / (
             to_range[best] ** 2 * max(variance[best], 1e-18)
         ):
             best = k
     if best < 0:
         return 1.0, (far - near) ** 2 / 12
+    spread = rated - along * along / total
     step = 2 * math.pi * to_range[best]
     chance, square = 0.0, 0.0
     for sign in (-1.0, 1.0):
@@ -265,7 +278,7 @@ def astray(
         count = min(math.floor(max(room, 0.0) / step * (1 + 1e-9)), _MOST)
         for m in range(1, count + 1):
             offset = sign * m * step
-            first, second = 0.0, 0.0
+            first, second, moved = 0.0, 0.0, 0.0
             for k in range(to_range.size):
                 if k == best or to_range[k] <= 0.0 or not variance[k] < np.inf:
                     continue
@@ -274,7 +287,11 @@ def astray(
                 precision = 1.0 / (to_range[k] ** 2 * max(variance[k], 1e-18))
                 first += precision * remainder
                 second += precision * remainder * remainder
-            misfit = max(second - first * first / total, 0.0)
+                moved += precision * remainder * k * motion
+            # Least squares of range and rate; without motion of the range alone.
+            moved -= first * along / total
+            misfit = second - first * first / total
+            misfit = max(misfit - moved * moved / spread, 0.0)
             probability = 0.5 * math.erfc(0.5 * math.sqrt(misfit) / math.sqrt(2.0))
             chance += probability
             square += probability * offset * offset
@@ -651,7 +668,9 @@ def _combine(only: int, x: Floats, scratch: Scratch, row: Floats) -> float:
         error += row[j]
     for j in range(scratch.bias.shape[1]):
         error += row[scratch.variance.shape[1] + j] ** 2
-    row[O_WRONG], row[O_ASTRAY] = astray(to_range, phase, x[DISTANCE], x[NEAR], x[FAR])
+    row[O_WRONG], row[O_ASTRAY] = astray(
+        to_range, phase, x[MOTION], x[DISTANCE], x[NEAR], x[FAR]
+    )
     return error
 
 

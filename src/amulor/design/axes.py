@@ -53,6 +53,7 @@ AXES = {
     "radius": Axis("1/e half-width of the aperture", "m"),
     "field_of_view": Axis("1/e half-width of the field of view", "rad", most=0.5),
     "dwell": Axis("time on each pixel, frequency and channel", "s"),
+    "speed": Axis("speed of the vehicle", "m/s", 0.0, False),
     "phase_floor": Axis("phase error that no light removes", "rad", 0.0, False),
     "dark_rate": Axis("dark counts", "1/s", 0.0, False),
     "radiance": Axis("daylight just below the surface", "W/(m2 sr m)", 0.0, False),

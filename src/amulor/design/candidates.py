@@ -15,9 +15,21 @@ from scipy.stats import norm, qmc
 from amulor.design import geometry
 from amulor.design.axes import PREDICTED
 from amulor.design.goal import Box, FractionSpread, Goal, Laser, Spread
+from amulor.design.vehicle import Lines, Readings
 from amulor.errors import SurveyError
 from amulor.rejection.channels import PARTNERS
-from amulor.survey import Instrument, Plate, Receiver, Scan, Survey, water_properties
+from amulor.survey import (
+    Instrument,
+    LineCourse,
+    Mounting,
+    Plate,
+    Platform,
+    Pose,
+    Receiver,
+    Scan,
+    Survey,
+    water_properties,
+)
 from amulor.survey.instrument import Emitter
 from amulor.survey.mueller import matrix
 
@@ -26,11 +38,15 @@ __all__ = [
     "aim_of_goal",
     "box_values",
     "cost_of",
+    "depth_of",
     "drawn",
     "first_choice",
     "fits",
     "frequency_grid",
+    "lines_of",
+    "longest_dwell",
     "middle",
+    "readings_of",
     "scan_time",
     "spreads_of",
     "survey_of",
@@ -41,6 +57,8 @@ __all__ = [
 
 #: Share of the dwell that the lock-in's time constant may have [1].
 _LOCK_IN = 0.1
+#: Rows of a survey, at most.
+_MOST_ROWS = 20_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +89,16 @@ class Parameters:
     """Polarization channels joined by a plus sign, such as "VV+VH"."""
     method: str
     """Rejection method."""
+    readings: Readings = "in-turn"
+    """Readings of a pixel at its frequencies and channels: one after another, or all at
+    once."""
+
+    @property
+    def in_turn(self) -> int:
+        """Number of readings of a pixel that follow one another [1]."""
+        if self.readings == "at-once":
+            return 1
+        return len(self.frequencies) * len(self.polarization.split("+"))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the parameters by name, in SI units."""
@@ -141,7 +169,18 @@ def first_choice(goal: Goal) -> Parameters:
         dwell=box_values(parts.dwell)[0],
         polarization=polarization,
         method=method,
+        readings=readings_of(goal)[0],
     )
+
+
+def readings_of(goal: Goal) -> tuple[Readings, ...]:
+    """Possible orders of the readings of a pixel."""
+    return ("in-turn",) if goal.vehicle is None else goal.vehicle.readings
+
+
+def depth_of(laser: Laser, frequencies: int, readings: Readings) -> float:
+    """Modulation depth of each frequency; those at once share that of the laser [1]."""
+    return laser.modulation_depth / (frequencies if readings == "at-once" else 1)
 
 
 def fits(goal: Goal) -> Iterator[tuple[str, str]]:
@@ -177,10 +216,45 @@ def cost_of(goal: Goal, chosen: Parameters) -> float:
     return total
 
 
+def lines_of(goal: Goal, chosen: Parameters) -> Lines | None:
+    """Survey lines of a vehicle with an instrument; None without a vehicle."""
+    if goal.vehicle is None:
+        return None
+    laser, farthest = laser_of(goal, chosen.laser), goal.asked[-1]
+    widening = (laser.beam_divergence or 0.0) * farthest
+    return goal.vehicle.plan(
+        columns=goal.scan.columns,
+        span=goal.scan.azimuth_span,
+        nearest=goal.asked[0],
+        farthest=farthest,
+        pixel_time=chosen.in_turn * chosen.dwell,
+        spot=2 * math.hypot(laser.beam_radius or 0.0, widening),
+    )
+
+
 def scan_time(goal: Goal, chosen: Parameters) -> float:
-    """Time for scanning all pixels [s]."""
-    samples = len(chosen.frequencies) * len(chosen.polarization.split("+"))
-    return goal.scan.rows * goal.scan.columns * samples * chosen.dwell
+    """Time for all pixels, or for all survey lines of a vehicle [s]."""
+    lines = lines_of(goal, chosen)
+    if lines is not None:
+        return lines.time
+    assert goal.scan.rows is not None
+    return goal.scan.rows * goal.scan.columns * chosen.in_turn * chosen.dwell
+
+
+def longest_dwell(goal: Goal, chosen: Parameters) -> float:
+    """Dwell with which an instrument just meets scan time and density of rows [s]."""
+    scan = goal.scan
+    if goal.vehicle is not None:
+        pixel = goal.vehicle.longest_pixel(
+            columns=scan.columns,
+            span=scan.azimuth_span,
+            nearest=goal.asked[0],
+            longest=scan.longest,
+        )
+    else:
+        assert scan.rows is not None
+        pixel = scan.longest / (scan.rows * scan.columns)
+    return pixel / chosen.in_turn
 
 
 def depolarizing(mueller: Any, m22: float) -> tuple[tuple[float, ...], ...]:
@@ -229,9 +303,16 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
     if goal.targets.m22 is not None:
         surface = depolarizing(surface, middle(goal.targets.m22))
     distance = aim_of_goal(goal)
-    scan = goal.scan
+    scan, lines = goal.scan, lines_of(goal, chosen)
     width = 2.2 * distance * math.tan(scan.azimuth_span / 2) + 0.1
-    height = 2.2 * distance * math.tan(scan.elevation_span / 2) + 0.1
+    if lines is None:
+        assert scan.rows is not None
+        rows, length = scan.rows, 0.0
+    else:
+        rows = min(math.ceil(lines.length / lines.between_rows - 1e-9), _MOST_ROWS)
+        length = rows * lines.between_rows
+    elevation_span = scan.elevation_span or 0.0
+    height = length + 2.2 * distance * math.tan(elevation_span / 2) + 0.1
     bare = Survey(
         name=goal.name,
         water=water,
@@ -248,7 +329,7 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         instrument=Instrument(
             wavelength=laser.wavelength,
             power=chosen.power,
-            modulation_depth=laser.modulation_depth,
+            modulation_depth=depth_of(laser, len(chosen.frequencies), chosen.readings),
             modulation_frequencies=chosen.frequencies,
             polarizations=tuple(chosen.polarization.split("+")),
             emitter=Emitter(
@@ -265,17 +346,37 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         ),
         scan=Scan(
             columns=scan.columns,
-            rows=scan.rows,
+            rows=rows,
             azimuth_span=scan.azimuth_span,
-            elevation_span=scan.elevation_span,
+            elevation_span=elevation_span,
             dwell=chosen.dwell,
             moves=scan.moves,
             open_water=scan.open_water,
         ),
         calibration=goal.calibration,
         daylight=goal.daylight,
+        **_carried(goal, chosen, length),
     )
     return geometry.with_receiver(bare, baseline=chosen.baseline, aim=distance)
+
+
+def _carried(goal: Goal, chosen: Parameters, length: float) -> dict[str, Any]:
+    """Pose and vehicle of a survey, above the middle of a line that leads north."""
+    lines = lines_of(goal, chosen)
+    if goal.vehicle is None or lines is None:
+        return {}
+    down = {"pitch": -math.pi / 2}
+    return {
+        "pose": Pose(**down),
+        "platform": Platform(
+            course=LineCourse(
+                kind="line", start=(0.0, -length / 2, 0.0), speed=lines.speed
+            ),
+            readings=chosen.readings,
+            disturbance=goal.vehicle.disturbance,
+            mounting=Mounting(**down),
+        ),
+    }
 
 
 Floats = NDArray[np.float64]

@@ -422,6 +422,9 @@ def _reduced_survey(goal: Goal, chosen: Parameters, distance: float) -> Survey:
     scan = survey.scan
     return survey.with_(
         {
+            # Its noise is that at rest.
+            "platform": None,
+            "pose": None,
             "scan.columns": min(scan.columns, _COLUMNS),
             "scan.rows": min(scan.rows, _ROWS),
             "scan.azimuth_span": min(scan.azimuth_span, _SPAN),

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from amulor.design.axes import Method
+from amulor.design.vehicle import Vehicle
 from amulor.errors import SurveyError
 from amulor.optics.polarization import stokes
 from amulor.survey import (
@@ -205,14 +206,15 @@ class ScanGoal(Description):
 
     columns: Annotated[Count, Field(ge=1, le=20_000)]
     """Number of pixels per row [1]."""
-    rows: Annotated[Count, Field(ge=1, le=20_000)]
-    """Number of pixel rows [1]."""
+    rows: Annotated[Count, Field(ge=1, le=20_000)] | None = None
+    """Number of pixel rows; left out with a vehicle, which moves from row to row
+    [1]."""
     azimuth_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
     """Angle between the first and the last column [rad]."""
-    elevation_span: Annotated[Angle, Field(ge=0, lt=math.pi)]
-    """Angle between the first and the last row [rad]."""
+    elevation_span: Annotated[Angle, Field(ge=0, lt=math.pi)] | None = None
+    """Angle between the first and the last row; left out with a vehicle [rad]."""
     longest: Annotated[Time, Field(gt=0)]
-    """Longest allowed time for all pixels [s]."""
+    """Longest allowed time for all pixels, or for all survey lines of a vehicle [s]."""
     moves: Literal["beam", "both"] = "both"
     """Scanned part: the beam alone, or emitter and receiver together."""
     open_water: OpenWater = OpenWater(columns=9, rows=3, repeats=20)
@@ -440,6 +442,8 @@ class Goal(Description):
     """Target surfaces, with ranges of their properties."""
     scan: ScanGoal
     """Scan pattern and available time."""
+    vehicle: Vehicle | None = None
+    """Vehicle that carries the instrument, and the area to survey; none by default."""
     components: Components
     """Available components."""
     aim: Annotated[Length, Field(gt=0)] | None = None
@@ -472,6 +476,30 @@ class Goal(Description):
             raise ValueError(
                 f"distances holds {outside[0]:g} m, which is not within the interval "
                 f"from {interval.nearest:g} to {interval.farthest:g} m"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _rows_are_of_scan_or_vehicle(self) -> Self:
+        scan = self.scan
+        stated = [
+            name for name in ("rows", "elevation_span")
+            if getattr(scan, name) is not None
+        ]  # fmt: skip
+        if self.vehicle is None and len(stated) < 2:
+            raise ValueError(
+                "scan needs rows and elevation_span; only a [vehicle] makes the rows "
+                "by its motion"
+            )
+        if self.vehicle is not None and stated:
+            raise ValueError(
+                f"scan.{stated[0]} and [vehicle] are both stated; the vehicle moves "
+                "from row to row, so leave out rows and elevation_span"
+            )
+        if self.vehicle is not None and scan.azimuth_span == 0:
+            raise ValueError(
+                "scan.azimuth_span is 0, so that survey lines have no width; state the "
+                "angle of a row across the course"
             )
         return self
 

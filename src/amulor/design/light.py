@@ -18,7 +18,7 @@ from amulor.errors import SurveyError
 from amulor.optics import small_angle, target_echo
 from amulor.optics.late_echo import RELATIVE_UNCERTAINTY, late_echo
 from amulor.optics.small_angle import sharp_receiver
-from amulor.survey import Survey, WaterProperties
+from amulor.survey import HoverCourse, Survey, WaterProperties
 from amulor.survey.late_light import LEAST_ASYMMETRY, LEAST_PART
 from amulor.survey.view import beam_arguments, has_sharp_receiver
 from amulor.survey.waters.whole_function import whole_phase_function
@@ -428,6 +428,7 @@ def case_of(survey: Survey, water: WaterProperties) -> Case:
         "radius": instrument.receiver.radius,
         "field_of_view": instrument.receiver.acceptance,
         "dwell": survey.scan.dwell,
+        "speed": _speed(survey),
         "phase_floor": instrument.lock_in.phase_floor,
         "dark_rate": instrument.detector.dark_rate,
         "fluctuation": survey.water.signal_fluctuation,
@@ -436,6 +437,12 @@ def case_of(survey: Survey, water: WaterProperties) -> Case:
     if survey.targets:
         survey_values["reflectance"] = survey.targets[0].reflectance
     return Case(survey=survey, water=water, survey_values=survey_values)
+
+
+def _speed(survey: Survey) -> float:
+    """Speed of a vehicle along its course [m/s]; 0 at rest."""
+    course = None if survey.platform is None else survey.platform.course
+    return 0.0 if course is None or isinstance(course, HoverCourse) else course.speed
 
 
 def _places(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.cube.readings import LEAST_RATE
 from amulor.design import _kernels as kernel
 from amulor.design._kernels import assess
 from amulor.design.axes import PREDICTED
@@ -17,7 +18,8 @@ from amulor.errors import SurveyError
 from amulor.optics import detection
 from amulor.optics.polarization import mueller
 from amulor.rejection.channels import PARTNERS
-from amulor.survey import OpenWater, counting
+from amulor.survey import OpenWater, Survey, counting
+from amulor.survey.course import range_rate
 from amulor.survey.mueller import matrix
 
 __all__ = ["MOST_BENT", "Assessed", "assessed"]
@@ -190,11 +192,26 @@ def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str,
         "pixels": float(survey.scan.rows * survey.scan.columns),
         "per_saturation": detector.volt_per_photoelectron_rate / detector.saturation,
         "depth": by_axis["modulation_depth"],
+        "motion": _motion(survey, by_axis),
     }
     copied = ("phase_floor", "fluctuation", "water_change", "column_uncertainty")
     return columns | {
         name: by_axis[name] for name in (*copied, "ratio_uncertainty", "departure")
     }
+
+
+def _motion(survey: Survey, by_axis: dict[str, Floats]) -> Floats | float:
+    """Change of the range from one frequency to the next, by an unknown rate [m]."""
+    if survey.platform is None:
+        if np.any(by_axis["speed"] > 0):
+            raise SurveyError(
+                "speed: the survey states no vehicle; state its course in [platform]"
+            )
+        return 0.0
+    if survey.platform.readings == "at-once":
+        return 0.0
+    rate, _ = range_rate(survey.platform, by_axis["speed"])
+    return np.maximum(rate, LEAST_RATE) * by_axis["dwell"]
 
 
 def _sky(case: Case, by_axis: dict[str, Floats]) -> Floats | float:

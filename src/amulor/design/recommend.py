@@ -23,6 +23,7 @@ from amulor.design.candidates import (
     cost_of,
     frequency_grid,
     laser_of,
+    lines_of,
     scan_time,
     survey_of,
 )
@@ -31,6 +32,7 @@ from amulor.design.goal import Goal
 from amulor.design.requirements import Requirement, Shortfall
 from amulor.design.scores import draws_at
 from amulor.design.search import Candidate, SearchResult, search
+from amulor.design.vehicle import Lines
 from amulor.optics import ranging
 from amulor.survey import Survey, water_properties
 
@@ -68,6 +70,7 @@ class Shares:
 def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
     """Return the best division of dwell time over 2 or 3 frequencies; None otherwise.
 
+    A vehicle has none, as its frequencies share the time of a pixel or their light.
     Every division into twentieths is evaluated by its error at the worst distance, at
     the required quantile of 16 random waters. Divisions in which a wrong interval is
     too likely are excluded. All biases are assumed to have one sign, so that the error
@@ -75,7 +78,10 @@ def dwell_shares(goal: Goal, chosen: Parameters) -> Shares | None:
     gain of an instrument with several.
     """
     count = len(chosen.frequencies)
-    if not 2 <= count <= 3 or not PREDICTED[chosen.method].separate_frequencies:
+    shared = goal.vehicle is not None
+    if shared or not 2 <= count <= 3:
+        return None
+    if not PREDICTED[chosen.method].separate_frequencies:
         return None
     parts = [
         division
@@ -142,7 +148,12 @@ def _error(
     for number, distance in enumerate(goal.asked):
         wrong = [
             astray(
-                to_range, np.ascontiguousarray(phase[:, number, k]), distance, near, far
+                to_range,
+                np.ascontiguousarray(phase[:, number, k]),
+                0.0,
+                distance,
+                near,
+                far,
             )
             for k in range(error.shape[-1])
         ]
@@ -207,7 +218,9 @@ class Choice:
     share: float
     """Fraction of draws in which the accuracy is met at all distances [1]."""
     scan_time: float
-    """Time for scanning all pixels [s]."""
+    """Time for all pixels, or for all survey lines of a vehicle [s]."""
+    lines: Lines | None
+    """Survey lines of a vehicle; None without a vehicle."""
     cost: float
     """Total price [currency]."""
     shares: Shares | None = None
@@ -233,6 +246,7 @@ class Choice:
                 "worst_distance": self.worst_distance,
                 "share": self.share,
                 "scan_time": self.scan_time,
+                "lines": None if self.lines is None else asdict(self.lines),
                 "cost": self.cost,
                 "shares": None if self.shares is None else asdict(self.shares),
                 "between": asdict(self.between),
@@ -389,13 +403,14 @@ def recommend(
         )
 
 
-def _kind(chosen: Parameters) -> tuple[str, str, str, int]:
-    """Kind of an instrument: laser, channels, method and number of frequencies."""
+def _kind(chosen: Parameters) -> tuple[str | int, ...]:
+    """Kind of an instrument: laser, channels, method, frequencies, readings in turn."""
     return (
         chosen.laser,
         chosen.polarization,
         chosen.method,
         len(chosen.frequencies),
+        chosen.in_turn,
     )
 
 
@@ -442,6 +457,7 @@ def _choice(goal: Goal, candidate: Candidate) -> Choice:
         worst_distance=goal.asked[worst],
         share=float(met.all("distance").mean()),
         scan_time=scan_time(goal, chosen),
+        lines=lines_of(goal, chosen),
         cost=cost_of(goal, chosen),
         shares=dwell_shares(goal, chosen),
         between=_between(goal, all_errors["total_error"]),
@@ -528,7 +544,7 @@ def _table(goal: Goal, result: SearchResult) -> xr.Dataset:
         frequencies[number, : len(candidate.parameters.frequencies)] = (
             candidate.parameters.frequencies
         )
-    names = ("laser", "polarization", "method")
+    names = ("laser", "polarization", "method", "readings")
     units = {
         "power": "W",
         "baseline": "m",

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from amulor.design.candidates import Parameters
 from amulor.design.evaluate import TERMS
 from amulor.design.goal import Goal
-from amulor.design.scores import Score
+from amulor.design.scores import Score, required
 from amulor.design.search import Candidate
+from amulor.design.vehicle import Lines
 
 __all__ = [
     "Requirement",
     "Shortfall",
+    "lines_text",
     "parameters_text",
     "quantity_text",
     "shortfalls",
@@ -93,11 +95,13 @@ _READ = {
     "total error": ("mm", 1e3),
     "wrong interval": ("%", 1e2),
     "scan time": ("min", 1 / 60),
+    "row spacing": ("mm", 1e3),
+    "smear": ("mm", 1e3),
     "budget": ("", 1.0),
     "detector output": ("%", 1e2),
     "validity of the model": ("%", 1e2),
 }
-_UNITS = {"total error": "m", "scan time": "s"}
+_UNITS = {"total error": "m", "scan time": "s", "row spacing": "m", "smear": "m"}
 #: Smaller probabilities are reported as below this.
 _SELDOM = 1e-8
 
@@ -138,6 +142,12 @@ def table(
     rows.append(_row("detector output", float(score.output[0]), 1.0, "1", "saturation"))
     rows.append(_row("validity of the model", float(score.validity[0]), 1.0, "1", ""))
     rows.append(_row("scan time", float(score.time[0]), goal.scan.longest, "s", ""))
+    if goal.vehicle is not None:
+        wanted = goal.vehicle.row_spacing
+        rows.append(_row("row spacing", float(score.rows[0]), wanted, "m", ""))
+        if goal.vehicle.smear is not None:
+            smear = float(score.smear[0])
+            rows.append(_row("smear", smear, goal.vehicle.smear, "m", ""))
     if goal.components.budget is not None:
         cost = float(score.cost[0])
         rows.append(_row("budget", cost, goal.components.budget, "1", ""))
@@ -159,7 +169,7 @@ def _row(name: str, value: float, limit: float, unit: str, binding: str) -> Requ
 
 def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, ...]:
     """Return each requirement whose relaxation alone suffices, else all missed ones."""
-    ratios = _ratios(goal, scores)
+    ratios = required(goal, scores)
     names = list(ratios)
     all_ratios = np.stack([ratios[name] for name in names])
     met = all_ratios <= 1 + 1e-9
@@ -173,7 +183,7 @@ def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, .
         return tuple(
             _shortfall(goal, name, factor, alone=True) for factor, name in sorted(alone)
         )
-    best_ratios = _ratios(goal, best.score)
+    best_ratios = required(goal, best.score)
     return tuple(
         _shortfall(goal, name, float(value[0]), alone=False)
         for name, value in best_ratios.items()
@@ -181,25 +191,13 @@ def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, .
     )
 
 
-def _ratios(goal: Goal, scores: Score) -> dict[str, Floats]:
-    """Ratio of achieved to allowed value, for each requirement."""
-    ratios = {
-        "total error": scores.error.max(axis=1) / goal.accuracy.total_error,
-        "wrong interval": scores.wrong.max(axis=1) / goal.accuracy.wrong_interval,
-        "detector output": scores.output,
-        "validity of the model": scores.validity,
-        "scan time": scores.time / goal.scan.longest,
-    }
-    if goal.components.budget is not None:
-        ratios["budget"] = scores.cost / max(goal.components.budget, 1e-9)
-    return ratios
-
-
 def _shortfall(goal: Goal, name: str, factor: float, *, alone: bool) -> Shortfall:
     limits: dict[str, Callable[[], float]] = {
         "total error": lambda: goal.accuracy.total_error,
         "wrong interval": lambda: goal.accuracy.wrong_interval,
         "scan time": lambda: goal.scan.longest,
+        "row spacing": lambda: goal.vehicle.row_spacing if goal.vehicle else 0.0,
+        "smear": lambda: (goal.vehicle.smear if goal.vehicle else None) or 0.0,
         "budget": lambda: goal.components.budget or 0.0,
     }
     limit = limits.get(name, lambda: 1.0)()
@@ -231,4 +229,18 @@ def parameters_text(chosen: Parameters) -> str:
         f"{written('radius', chosen.radius)}, field "
         f"{written('field_of_view', chosen.field_of_view)}; {chosen.polarization} by "
         f"{chosen.method}; dwell {written('dwell', chosen.dwell)}"
+    )
+
+
+def lines_text(lines: Lines, chosen: Parameters) -> tuple[str, str]:
+    """Format survey lines and the distances between their points, a text each."""
+    apart = f", {lines.spacing:.3g} m apart" if lines.count > 1 else ""
+    lines_word = "line" if lines.count == 1 else "lines"
+    spot = f", spot of {1e3 * lines.spot:.3g} mm" if lines.spot > 0 else ""
+    return (
+        f"{lines.speed:.3g} m/s, readings {chosen.readings.replace('-', ' ')}; "
+        f"{lines.count} {lines_word} of {lines.length:g} m{apart}",
+        f"{1e3 * lines.between_rows:.3g} mm between rows, "
+        f"{1e3 * lines.between_columns:.3g} mm between points of a row; readings of a "
+        f"pixel along {1e3 * lines.along_readings:.3g} mm{spot}",
     )

@@ -14,9 +14,12 @@ from amulor.design.candidates import (
     Parameters,
     box_values,
     cost_of,
+    depth_of,
     drawn,
     first_choice,
     laser_of,
+    lines_of,
+    readings_of,
     scan_time,
     survey_of,
     water_scale,
@@ -26,7 +29,7 @@ from amulor.design.light import Case, Lit, case_of, lit
 from amulor.design.numbers import MOST_BENT, Assessed, assessed
 from amulor.survey import water_properties
 
-__all__ = ["Grid", "Judge", "Score", "draws_at", "merits"]
+__all__ = ["Grid", "Judge", "Score", "draws_at", "merits", "required"]
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +43,8 @@ _WORST = 40.0
 _AT_ONCE = 200_000
 #: Axes of a grid, its frequencies, distances and draws.
 _DIMENSIONS = 8
+#: That of the frequency sets.
+_SETS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +103,12 @@ class Score:
     validity: Floats
     """Validity measure, above 1 outside the error model, shape (candidate,) [1]."""
     time: Floats
-    """Time for scanning all pixels, shape (candidate,) [s]."""
+    """Time for all pixels or survey lines, shape (candidate,) [s]."""
+    rows: Floats
+    """Distance between rows along a line; 0 without a vehicle, shape (candidate,) [m].
+    """
+    smear: Floats
+    """Way of a vehicle during the readings of a pixel, shape (candidate,) [m]."""
     cost: Floats
     """Total price, shape (candidate,) [currency]."""
 
@@ -119,20 +129,33 @@ class Score:
 
 def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
     """Figure of merit of candidates, smaller for better ones."""
-    merit = _log(score.error.max(axis=1) / goal.accuracy.total_error)
-    missed = [
-        score.output,
-        score.validity,
-        score.time / goal.scan.longest,
-    ]
-    if with_intervals:
-        missed.append(score.wrong.max(axis=1) / goal.accuracy.wrong_interval)
-    if goal.components.budget is not None:
-        missed.append(score.cost / max(goal.components.budget, 1e-9))
-    for ratio in missed:
+    ratios = required(goal, score)
+    merit = _log(ratios.pop("total error"))
+    if not with_intervals:
+        del ratios["wrong interval"]
+    for ratio in ratios.values():
         # Rounding of a time that was made to fit is no miss.
         merit = merit + _MISSED * np.maximum(_log(ratio / (1 + 1e-9)), 0.0)
     return np.asarray(merit)
+
+
+def required(goal: Goal, score: Score) -> dict[str, Floats]:
+    """Ratio of achieved to allowed value, for each requirement of a goal."""
+    vehicle, budget = goal.vehicle, goal.components.budget
+    ratios = {
+        "total error": score.error.max(axis=1) / goal.accuracy.total_error,
+        "wrong interval": score.wrong.max(axis=1) / goal.accuracy.wrong_interval,
+        "detector output": score.output,
+        "validity of the model": score.validity,
+        "scan time": score.time / goal.scan.longest,
+    }
+    if vehicle is not None:
+        ratios["row spacing"] = score.rows / vehicle.row_spacing
+        if vehicle.smear is not None:
+            ratios["smear"] = score.smear / vehicle.smear
+    if budget is not None:
+        ratios["budget"] = score.cost / max(budget, 1e-9)
+    return ratios
 
 
 def _log(ratio: Floats) -> Floats:
@@ -172,8 +195,12 @@ class Judge:
         )
         survey = survey_of(goal, self.start)
         water = water_properties(survey)
-        self.case: Case = case_of(survey, water)
-        self.case.survey_values.update(goal.assumed)
+        self._cases: dict[str, Case] = {}
+        for readings in readings_of(goal):
+            of_readings = survey_of(goal, replace(self.start, readings=readings))
+            self._cases[readings] = case_of(of_readings, water)
+            self._cases[readings].survey_values.update(goal.assumed)
+        self.case = self._cases[self.start.readings]
         values_of_draws = draws_at(goal, self.start, draws)
         self.count = max(
             (len(values) for values in values_of_draws.values()), default=1
@@ -192,18 +219,26 @@ class Judge:
         return lit(self.case, self._values(grid), all_frequencies, joint=joint)
 
     def score(
-        self, grid: Grid, *, scheme: str, method: str, lighting: Lit | None = None
+        self, grid: Grid, like: Parameters, *, lighting: Lit | None = None
     ) -> Score:
-        """Score all candidates of a grid, in the order of the grid."""
+        """Score a grid in its order, with channels, method and readings of `like`."""
         if lighting is None:
-            lighting = self.lit(grid, joint=method == "joint")
+            lighting = self.lit(grid, joint=like.method == "joint")
+        paces = self._paces(grid, like)
+        speed = paces.pop("speed")
         values = self._values(grid)
+        if like.readings == "at-once":
+            laser = laser_of(self.goal, like.laser)
+            depths = [depth_of(laser, len(one), "at-once") for one in grid.sets]
+            values["modulation_depth"] = _along(np.array(depths), _SETS)
+        if self.goal.vehicle is not None:
+            values["speed"] = speed[..., None, None]
         most = max(len(members) for members in grid.sets)
         frequencies = np.full((most, len(grid.sets)), np.nan)
         for number, members in enumerate(grid.sets):
             frequencies[: len(members), number] = members
         frequencies = frequencies.reshape(most, *[1] * 5, -1, 1, 1)
-        pairs = tuple(scheme.split("+"))
+        pairs = tuple(like.polarization.split("+"))
         parts = []
         per_column = int(np.prod(grid.shape[3:])) * self._distance.size * self.count
         step = max(1, _AT_ONCE // max(per_column, 1))
@@ -218,10 +253,10 @@ class Judge:
                     )
                     index = tuple(place)
                     errors = assessed(
-                        self.case,
+                        self._cases[like.readings],
                         {name: _part(value, index) for name, value in values.items()},
                         frequencies=frequencies,
-                        method=method,
+                        method=like.method,
                         pairs=pairs,
                         interval=self.goal.limits,
                         lighting=replace(
@@ -235,21 +270,21 @@ class Judge:
         error, wrong, output, validity = (
             np.concatenate([members[k] for members in parts]) for k in range(4)
         )
-        time, cost = self._prices(grid, scheme, method)
         return Score(
             error=error,
             wrong=wrong,
             output=output,
             validity=validity,
-            time=time,
-            cost=cost,
+            cost=self._prices(grid, like),
+            **{
+                name: np.broadcast_to(value, grid.shape).ravel()
+                for name, value in paces.items()
+            },
         )
 
     def of(self, chosen: Parameters) -> Score:
         """Score one candidate instrument."""
-        return self.score(
-            grid_of(chosen), scheme=chosen.polarization, method=chosen.method
-        )
+        return self.score(grid_of(chosen), chosen)
 
     def _values(self, grid: Grid) -> dict[str, Floats]:
         """Values of all parameters, as arrays along the grid dimensions."""
@@ -278,15 +313,24 @@ class Judge:
         flat = [value.reshape(-1, value.shape[-1]) for value in reached]
         return np.sqrt(flat[0]), flat[1], flat[2].max(axis=1), flat[3].max(axis=1)
 
-    def _prices(self, grid: Grid, scheme: str, method: str) -> tuple[Floats, Floats]:
-        """Scan time and total price of all candidates of a grid."""
-        like = replace(self.start, polarization=scheme, method=method)
-        goal, shape = self.goal, grid.shape
-        time = np.zeros(shape)
+    def _paces(self, grid: Grid, like: Parameters) -> dict[str, Floats]:
+        """Scan time, and speed and distances of a vehicle, by dwell and set."""
+        shape = 1, 1, 1, 1, len(grid.dwell), len(grid.sets)
+        paces = {n: np.zeros(shape) for n in ("time", "rows", "smear", "speed")}
         for t, dwell in enumerate(grid.dwell):
             for s, members in enumerate(grid.sets):
                 sample = replace(like, dwell=dwell, frequencies=members)
-                time[..., t, s] = scan_time(goal, sample)
+                paces["time"][..., t, s] = scan_time(self.goal, sample)
+                lines = lines_of(self.goal, sample)
+                if lines is not None:
+                    paces["rows"][..., t, s] = lines.between_rows
+                    paces["smear"][..., t, s] = lines.along_readings
+                    paces["speed"][..., t, s] = lines.speed
+        return paces
+
+    def _prices(self, grid: Grid, like: Parameters) -> Floats:
+        """Total price of all candidates of a grid."""
+        goal, shape = self.goal, grid.shape
         # Prices add up, so each value is priced alone.
         base = grid.parameters(0, like)
         start = cost_of(goal, base)
@@ -298,7 +342,7 @@ class Judge:
             cost = cost + np.array(extra).reshape(
                 [-1 if k == axis else 1 for k in range(len(shape))]
             )
-        return time.ravel(), cost.ravel()
+        return np.asarray(cost.ravel())
 
 
 def grid_of(chosen: Parameters) -> Grid:

@@ -19,6 +19,8 @@ from amulor.design.candidates import (
     fits,
     frequency_grid,
     laser_of,
+    longest_dwell,
+    readings_of,
 )
 from amulor.design.goal import Box, Goal
 from amulor.design.scores import Grid, Judge, Score, grid_of, merits
@@ -89,12 +91,7 @@ def exchanged(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, in
             dwell=_dwells(goal, best.parameters, sets),
             sets=sets,
         )
-        score = judge.score(
-            grid,
-            scheme=best.parameters.polarization,
-            method=best.parameters.method,
-            lighting=lighting,
-        )
+        score = judge.score(grid, best.parameters, lighting=lighting)
         tried += len(score.time)
         merit = merits(goal, score)
         at = int(np.argmin(merit))
@@ -133,10 +130,8 @@ def _dwells(
     box = goal.components.dwell
     values = {like.dwell, *box_values(box)}
     if not box.values and box.low is not None and box.high is not None:
-        pixels = goal.scan.rows * goal.scan.columns
-        channels = len(like.polarization.split("+"))
-        for count in {len(members) for members in sets}:
-            fitting = goal.scan.longest / (pixels * channels * count)
+        for members in {len(members): members for members in sets}.values():
+            fitting = longest_dwell(goal, replace(like, frequencies=members))
             if box.low <= fitting <= box.high:
                 values.add(fitting)
     return tuple(sorted(values))
@@ -148,11 +143,7 @@ def cheaper(goal: Goal, judge: Judge, start: Candidate) -> tuple[Candidate, int]
     for _ in range(_EXCHANGES):
         candidates: list[Candidate] = []
         for grid in _cheaper_grids(goal, best.parameters):
-            score = judge.score(
-                grid,
-                scheme=best.parameters.polarization,
-                method=best.parameters.method,
-            )
+            score = judge.score(grid, best.parameters)
             tried += len(score.time)
             merit = merits(goal, score)
             good = np.flatnonzero((merit <= 0) & (score.cost < best.score.cost[0]))
@@ -316,7 +307,7 @@ def _worst(score: Score) -> Score:
 
 
 def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
-    """Yield the scored grid of one laser, for each polarization scheme and method."""
+    """Yield the scored grid of one laser: channels, method and order of readings."""
     distances = goal.asked
     indices = np.unique(np.linspace(0, len(distances) - 1, _FEW_DISTANCES).astype(int))
     judge = Judge(
@@ -325,9 +316,13 @@ def _grids(goal: Goal, laser: str) -> Iterator[tuple[Grid, Score, Parameters]]:
     grid = _grid(goal, laser)
     combinations = list(dict.fromkeys(fits(goal)))
     lighting = judge.lit(grid, joint=any(m == "joint" for _, m in combinations))
-    for scheme, method in combinations:
-        score = judge.score(grid, scheme=scheme, method=method, lighting=lighting)
-        yield grid, score, replace(judge.start, polarization=scheme, method=method)
+    for (scheme, method), readings in itertools.product(
+        combinations, readings_of(goal)
+    ):
+        like = replace(
+            judge.start, polarization=scheme, method=method, readings=readings
+        )
+        yield grid, judge.score(grid, like, lighting=lighting), like
 
 
 def _grid(goal: Goal, laser: str) -> Grid:

@@ -73,7 +73,7 @@ class Trade:
     often or the detector is overloaded.
     """
     scan_time: Floats
-    """Time for scanning all pixels [s]."""
+    """Time for all pixels or survey lines [s]."""
     top_frequency: Floats
     """Highest modulation frequency of the set [Hz]."""
     best: int
@@ -115,7 +115,7 @@ def trade(goal: Goal, chosen: Parameters, *, draws: int = 24) -> Trade:
     )
     grid = replace(grid_of(chosen), dwell=tuple(map(float, dwells)), sets=tuple(listed))
     judge = Judge(goal, chosen.laser, draws=draws)
-    score = judge.score(grid, scheme=chosen.polarization, method=chosen.method)
+    score = judge.score(grid, chosen)
     usable = (score.output <= 1) & (score.validity <= 1)
     usable &= score.wrong.max(axis=1) <= goal.accuracy.wrong_interval
     return Trade(

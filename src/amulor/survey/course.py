@@ -97,20 +97,24 @@ _QUICKER, _BENT = 1.16, 1.69
 _ARM = 1.0
 
 
-def range_rate(platform: Platform) -> tuple[float, float]:
+def range_rate(
+    platform: Platform, speed: ArrayLike | None = None
+) -> tuple[Floats, float]:
     """Return the rms rate of ranges [m/s], and the rms change of the rate [m/s^2].
 
     The direction of the course relative to surface and beam is unknown. Oscillations
-    are those of each coordinate, and of the angles for a beam on a slope.
+    are those of each coordinate, and of the angles for a beam on a slope. `speed`
+    replaces that of the course.
     """
-    wave = platform.disturbance
-    along = 0.0 if isinstance(platform.course, HoverCourse) else platform.course.speed
-    steady = (along + np.linalg.norm(wave.current)) / np.sqrt(3)
+    wave, course = platform.disturbance, platform.course
+    if speed is None:
+        speed = 0.0 if isinstance(course, HoverCourse) else course.speed
+    steady = (np.asarray(speed) + np.linalg.norm(wave.current)) / np.sqrt(3)
     turn = np.linalg.norm([wave.heading, wave.pitch, wave.roll])
     frequency = 2 * np.pi / wave.period
     swell = np.hypot(wave.position, _ARM * turn)
     rate = np.hypot(steady, _QUICKER * frequency * swell)
-    return float(rate), float(_BENT * frequency**2 * swell)
+    return np.asarray(rate), float(_BENT * frequency**2 * swell)
 
 
 def boresight_of(mounting: Mounting) -> Floats:

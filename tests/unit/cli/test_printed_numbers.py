@@ -57,6 +57,7 @@ def _choice(**changes: object) -> SimpleNamespace:
         "parameters": "P", "error": 3.456e-3, "worst_distance": 2.345, "share": 0.87,
         "scan_time": 234.0, "cost": 0.0, "binding": "shot_noise", "requirements": (),
         "between": SimpleNamespace(error=3.4e-3, distance=1.7), "shares": None,
+        "lines": None,
     }  # fmt: skip
     return SimpleNamespace(**{**fields, **changes})
 

@@ -132,7 +132,7 @@ def test_a_window_and_a_sharp_receiver_are_those_of_the_simulation(
 def test_wrong_intervals_are_as_frequent_as_picked_by_imaging() -> None:
     frequency, sigma, distance = np.array([100e6, 130e6]), 0.22, 2.0
     to_range = speed_of_light / (4 * np.pi * frequency)
-    predicted, _ = astray(to_range, np.full(2, sigma**2), distance, 0.0, 4.99)
+    predicted, _ = astray(to_range, np.full(2, sigma**2), 0.0, distance, 0.0, 4.99)
     rng = np.random.default_rng(5)
     count = 20_000
     path = 2 * distance
@@ -242,6 +242,7 @@ LIMITS = {
     "radius": (0.0, np.inf, False),
     "field_of_view": (0.0, 0.5, False),
     "dwell": (0.0, np.inf, False),
+    "speed": (0.0, np.inf, True),
     "phase_floor": (0.0, np.inf, True),
     "dark_rate": (0.0, np.inf, True),
     "radiance": (0.0, np.inf, True),

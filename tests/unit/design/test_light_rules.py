@@ -167,7 +167,7 @@ def test_a_case_has_the_values_of_its_survey(tank: Survey) -> None:
         "absorption": 0.1, "scattering": 0.25, "power": 0.02,
         "modulation_depth": 0.8, "baseline": 0.1, "radius": 0.02,
         "field_of_view": 0.06, "dwell": 0.02, "phase_floor": np.radians(0.02),
-        "dark_rate": 1e3, "fluctuation": 0.0, "radiance": 0.0,
+        "dark_rate": 1e3, "fluctuation": 0.0, "radiance": 0.0, "speed": 0.0,
         # 10 cm aside, looking 50 mrad inwards.
         "aim": 0.1 / math.tan(0.05),
     }  # fmt: skip

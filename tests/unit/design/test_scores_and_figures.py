@@ -31,6 +31,7 @@ def score(**changed: Any) -> Score:
         "error": np.array([[1e-3, 2e-3]]), "wrong": np.zeros((1, 2)),
         "output": np.array([0.5]), "validity": np.array([0.5]),
         "time": np.array([60.0]), "cost": np.array([100.0]),
+        "rows": np.array([0.0]), "smear": np.array([0.0]),
     }  # fmt: skip
     return Score(**values | changed)
 
@@ -104,7 +105,8 @@ def test_candidates_of_a_grid_have_their_own_time_and_price(goal_text: str) -> N
     goal = goal.model_copy(update={"components": parts})
     like = replace(first_choice(goal), polarization="VH+VV", method="open-water")
     judge = Judge(goal, "green", draws=4)
-    time, cost = judge._prices(GRID, "VH+VV", "open-water")
+    time = np.broadcast_to(judge._paces(GRID, like)["time"], GRID.shape).ravel()
+    cost = judge._prices(GRID, like)
     assert GRID.shape == (2, 2, 1, 2, 3, 2)
     for number in range(48):
         chosen = GRID.parameters(number, like)

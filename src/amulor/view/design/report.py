@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from amulor.design.confirm import Confirmation
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
 from amulor.design.recommend import Choice, Recommendation
-from amulor.design.requirements import parameters_text, written
+from amulor.design.requirements import lines_text, parameters_text, written
 from amulor.design.sensitivity import Sensitivity
 from amulor.design.trade import Trade, Turn
 from amulor.survey import water_properties
@@ -240,6 +241,9 @@ def _components(recommendation: Recommendation) -> Table:
         ("time of a scan", lambda choice: f"{choice.scan_time / 60:.3g} min"),
         ("cost", lambda choice: f"{choice.cost:,.0f}" if choice.cost else "not stated"),
     ]
+    if recommendation.goal.vehicle is not None:
+        for number, label in enumerate(("survey lines", "distances of points")):
+            more.append((label, partial(_lines, number)))
     rows += [[label, *(text(choice) for _, choice in choices)] for label, text in more]
     return Table(
         ["", *(title for title, _ in choices)],
@@ -247,6 +251,11 @@ def _components(recommendation: Recommendation) -> Table:
         "The runner-up is the best instrument with another laser, scheme, method or "
         "number of frequencies.",
     )
+
+
+def _lines(number: int, choice: Choice) -> str:
+    assert choice.lines is not None
+    return lines_text(choice.lines, choice.parameters)[number]
 
 
 def _written(chosen: Parameters, name: str) -> str:
