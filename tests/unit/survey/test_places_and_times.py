@@ -18,7 +18,7 @@ from amulor.survey.platform import (
     Mounting,
     OrbitCourse,
 )
-from amulor.survey.view import view
+from amulor.survey.view import medium_of, view
 
 
 def survey_of(**scan: Any) -> Any:
@@ -270,3 +270,40 @@ def test_the_uneven_window_has_its_optical_offset(plate: Survey) -> None:
     index = water_properties(back).group_index
     assert seen.optical_offset == pytest.approx(0.3 * index)
     assert seen.baseline == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.5, 4.0])
+@pytest.mark.parametrize("turned", [-0.2, 0.05])
+def test_beam_and_axis_part_behind_glass_as_two_refracted_lines(
+    plate: Survey, turned: float, depth: float
+) -> None:
+    aside, looks, ahead, thickness = 0.25, -0.12, 0.3, 0.02
+    behind = plate.with_(
+        {
+            "instrument.window": {"distance": ahead, "thickness": thickness},
+            "instrument.emitter.position": [0.0, 0.0, 0.0],
+            "instrument.receiver.position": [aside, 0.0, 0.0],
+            "instrument.receiver.azimuth": looks,
+            "instrument.receiver.elevation": 0.0,
+            "scan.moves": "beam",
+        }
+    )
+    assert behind.instrument.window is not None
+    glass = behind.instrument.window.refractive_index
+    index = medium_of(behind).refractive_index
+
+    def in_water(start: float, angle: float) -> tuple[np.ndarray, np.ndarray]:
+        """Place and direction behind the pane, by Snell's law (x, z)."""
+        inside = np.arcsin(np.sin(angle) / glass)
+        place = start + ahead * np.tan(angle) + thickness * np.tan(inside)
+        water = np.arcsin(np.sin(angle) / index)
+        return np.array([place, 0.0]), np.array([np.sin(water), np.cos(water)])
+
+    entry, direction = in_water(0.0, turned)
+    window, axis = in_water(aside, looks)
+    way = entry + depth * direction - window
+    expected = abs(way[0] * axis[1] - way[1] * axis[0])
+    seen = view(behind, np.array(turned), np.array(0.0))
+    total = seen.standoff + depth
+    found = np.hypot(seen.baseline - seen.tilt * total, seen.cross_tilt * total)
+    assert found == pytest.approx(expected, abs=1e-7)
