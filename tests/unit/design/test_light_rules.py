@@ -171,9 +171,10 @@ def test_a_case_has_the_values_of_its_survey(tank: Survey) -> None:
         # 10 cm aside, looking 50 mrad inwards.
         "aim": 0.1 / math.tan(0.05),
     }  # fmt: skip
-    assert found.keys() == expected.keys()
-    for name, value in expected.items():
-        assert found[name] == pytest.approx(value, rel=1e-2), name
+    assert found.keys() >= expected.keys()
+    for name, value in found.items():
+        # What a plate in a tank does not have, such as a speed, is zero.
+        assert value == pytest.approx(expected.get(name, 0.0), rel=1e-2), name
     bare = tank.with_({"targets": []})
     assert case_of(bare, water_properties(bare)).survey_values["reflectance"] == 0.1
 
