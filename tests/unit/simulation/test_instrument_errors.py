@@ -343,6 +343,7 @@ def test_scale_and_resolution_change_the_outputs_in_steps(
     assert_allclose(ratio[~high], 1, rtol=1e-12)
     rounded = outputs(simulated(survey, demodulator={"resolution": "100 uV"}))
     assert_allclose(rounded.real / 1e-4, np.rint(old.real / 1e-4), atol=1e-9)
+    assert_allclose(rounded.imag / 1e-4, np.rint(old.imag / 1e-4), atol=1e-9)
 
 
 def test_noise_has_its_size_and_pink_noise_is_alike_from_pixel_to_pixel(
