@@ -138,11 +138,14 @@ def test_the_error_of_a_fit_is_that_of_its_residuals_and_of_a_higher_degree() ->
     rng = np.random.default_rng(8)
     basis = np.linalg.qr(rng.normal(size=(30, 5)))[0] * np.sqrt(30)
     fitted, beams = 3, list(range(0, 30, 2))
-    ratio: Any = rng.normal(size=(15, 2)) + 1j * rng.normal(size=(15, 2))
-    value, error = fitted_ratio(basis, fitted, beams, 0.1 * ratio + 2)
+    ratio: Any = 0.1 * (rng.normal(size=(15, 2)) + 1j * rng.normal(size=(15, 2)))
+    # The first ratio has a part of the next degree, the second has noise alone.
+    ratio += 2 * basis[beams][:, :1]
+    ratio[:, 0] += basis[beams] @ [0, 0, 0, 0.3, 0.2j]
+    value, error = fitted_ratio(basis, fitted, beams, ratio)
     low, whole = basis[beams][:, :fitted], basis[beams]
     for k in range(2):
-        data = 0.1 * ratio[:, k] + 2
+        data = ratio[:, k]
         small = np.linalg.lstsq(low, data, rcond=None)[0]
         large = np.linalg.lstsq(whole, data, rcond=None)[0]
         assert_allclose(value[k], basis[:, :fitted] @ small, rtol=1e-9)
@@ -162,4 +165,5 @@ def test_the_error_of_a_fit_is_that_of_its_residuals_and_of_a_higher_degree() ->
         change = np.concatenate([large[:fitted] - small, large[fitted:]])
         expected = np.trace(np.linalg.inv(whole.T @ whole)) - np.trace(normal)
         missing = max(float((abs(change) ** 2).sum()) - noise * expected, 0.0)
+        assert (missing > 0.03) == (k == 0)
         assert_allclose(error[k] ** 2, np.array(plain) + missing, rtol=1e-9)
