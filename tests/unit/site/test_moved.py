@@ -293,3 +293,30 @@ def _object(surface, place, centre, reach):
     shapes = np.zeros((0, *surface.usable.shape))
     surface.shared = SimpleNamespace(keys=(), shapes=shapes)
     return moved._object(surface, place, "a", centre, reach)
+
+
+@pytest.mark.parametrize(("count", "is_ground"), [(27, False), (28, True)])
+def test_the_ground_around_an_object_has_thirty_points(
+    count: int, is_ground: bool
+) -> None:
+    angle = 2 * np.pi * np.arange(count) / count
+    ring = np.stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), 0 * angle], axis=1)
+    # One point stands 21 mm above it, one 19 mm; two are beyond the reach of 0.2 m,
+    # and among those around it.
+    body = [[0.0, 0.0, 0.021], [0.01, 0.0, 0.019], [0.21, 0.0, 0.1], [0.23, 0.0, 0.1]]
+    points = np.concatenate([ring, body])[None]
+    surface = SimpleNamespace(
+        distance=np.ones(points.shape[:2]), origin=points,
+        direction=np.zeros(points.shape), motion=None,
+        usable=np.ones(points.shape[:2], dtype=bool),
+    )  # fmt: skip
+    place = SimpleNamespace(
+        poses={"a": ScanPose(rotation=np.eye(3), position=np.zeros(3))}, errors={}
+    )
+    found = _object(surface, place, np.zeros(3), 0.2)
+    if is_ground:
+        # Its reach is 1.1 times 0.2 m.
+        assert found[0, count:].tolist() == [True, False, True, False]
+        assert not found[0, :count].any()
+    else:
+        assert found is None

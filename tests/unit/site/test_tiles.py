@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -64,3 +65,29 @@ def test_moving_and_doubtful_points_are_withheld_and_scans_are_counted_from_one(
     assert points["moving"].tolist() == [0, 1, 0, 0]
     np.testing.assert_allclose(np.asarray(points.x) - 5e5, _cloud().position[:, 0])
     np.testing.assert_allclose(points["sigma_z"], 1e-3)
+
+
+def test_tiles_are_squares_by_east_and_north(tmp_path: Path) -> None:
+    position = np.array([[0.1, 7.0, -5.0], [12.0, 7.0, -5.0], [12.5, 9.9, -5.0],
+                         [-3.0, 12.0, -5.0]])  # fmt: skip
+    paths = write_tiles(_cloud(position=position), tmp_path)
+    about = json.loads((tmp_path / "tiles.json").read_text())["tiles"]
+    assert [path.name for path in paths] == list(about)
+    found = {tuple(tile["west_south_m"]): tile["points"] for tile in about.values()}
+    assert found == {(-5.0, 10.0): 1, (0.0, 5.0): 1, (10.0, 5.0): 2}
+    assert {tile["size_m"] for tile in about.values()} == {5.0}
+    for path in paths:
+        assert len(laspy.read(path).points) == about[path.name]["points"]
+    small = write_tiles(_cloud(position=position), tmp_path / "small", size=1.0)
+    assert len(small) == 4
+
+
+def test_coordinates_are_steps_from_whole_meters_without_a_reference_system(
+    tmp_path: Path,
+) -> None:
+    cloud = _cloud()
+    cloud.site.frame.crs_offset = (0.0, 0.0, 0.0)
+    points = _points(cloud, tmp_path)
+    assert np.asarray(points.header.offsets).tolist() == [0.0, 0.0, -5.0]
+    np.testing.assert_allclose(np.asarray(points.xyz), cloud.position, atol=6e-6)
+    assert np.asarray(points.header.scales).tolist() == [1e-5] * 3
