@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from amulor.cube import QualityFlag
-from amulor.platform import Mounting
+from amulor.platform import Mounting, Trajectory
 from amulor.site.registration import line
 from amulor.site.registration.line import (
     Motion,
@@ -19,6 +20,7 @@ from amulor.site.registration.line import (
     row_of_image,
     rows_of_scan,
 )
+from amulor.site.registration.pose import ScanPose
 
 
 def test_forms_of_a_walk_have_its_covariance_about_its_mean() -> None:
@@ -139,3 +141,80 @@ def test_gaps_of_the_times_do_not_hide_a_direction() -> None:
     assert_array_equal(
         by_direction(image).attrs["rows_of_scan"], [0, 2, *([-1] * 8), 1, 3]
     )
+
+
+def a_line(**changes: Any) -> tuple[Any, Trajectory]:
+    """Return a line of 10 s without errors of the mounting, and its trajectory."""
+    fields: dict[str, Any] = {
+        "poses": SimpleNamespace(
+            vehicle=SimpleNamespace(time=np.array([5.0, 9.0, 15.0])),
+            mounting=Mounting(),
+        ),
+        "mounting": np.zeros((0, 8)), "bend": 0.0, "drift": (4e-3, 2e-3),
+        "forms": (2, 1), "keys": tuple("k" * 9),
+        "start": ScanPose(np.eye(3), np.array([1.0, 2.0, 3.0])),
+    }  # fmt: skip
+    stamps = np.arange(0.0, 20.5, 0.5)
+    track = Trajectory(
+        time=stamps, position=np.stack([0.2 * stamps, 0 * stamps, 0 * stamps], axis=1),
+        attitude=np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)),
+        covariance=np.zeros((len(stamps), 6, 6)), longest_gap=1.0,
+    )  # fmt: skip
+    return SimpleNamespace(**(fields | changes)), track
+
+
+@pytest.mark.parametrize(
+    ("number", "size", "form", "axis", "kind"),
+    [(0, 4e-3, 1, 0, "position"), (4, 4e-3, 2, 1, "position"), (8, 2e-3, 1, 2, "turn")],
+)
+def test_a_line_is_corrected_by_the_forms_of_its_drift(
+    number: int, size: float, form: int, axis: int, kind: str
+) -> None:
+    motion, track = a_line()
+    errors, spread = np.zeros(9), np.zeros((15, 15))
+    errors[number], spread[6 + number, 6 + number] = 1.5, 0.25
+    found, _ = line.refined(track, motion, motion.start, errors, spread)
+    # The messages of the line, and three before and after it.
+    assert_allclose(found.time, np.arange(3.5, 17.0, 0.5))
+    share = (found.time - 5) / 10
+    walk = size * 2**0.5 / (form * np.pi) * np.cos(form * np.pi * share)
+    moved = found.position - track.position[7:34]
+    turned = Rotation.from_quat(found.attitude).as_rotvec()
+    assert_allclose(
+        moved[:, axis], -1.5 * walk if kind == "position" else 0, atol=1e-12
+    )
+    assert_allclose(turned[:, axis], -1.5 * walk if kind == "turn" else 0, atol=1e-12)
+    at = axis if kind == "position" else 3 + axis
+    assert_allclose(found.covariance[:, at, at], (0.5 * walk) ** 2, atol=1e-15)
+    assert_allclose(np.delete(moved, axis, axis=1), 0, atol=1e-12)
+
+
+def test_the_track_of_a_line_is_turned_about_its_middle() -> None:
+    motion, track = a_line(bend=0.03, keys=tuple("k" * 12))
+    errors = np.zeros(12)
+    errors[1] = 2.0
+    found, _ = line.refined(track, motion, motion.start, errors, np.zeros((18, 18)))
+    # North, by 2 x 30 mm at the ends of the line, of opposite sign.
+    moved = found.position - track.position[7:34]
+    share = (found.time - 5) / 10
+    assert_allclose(moved[:, 1], -0.06 * (2 * share - 1), atol=1e-12)
+    assert_allclose(moved[:, [0, 2]], 0, atol=1e-12)
+
+
+def test_a_line_moves_with_the_pose_in_its_middle() -> None:
+    motion, track = a_line()
+    pose = motion.start.changed(np.array([0.1, -0.2, 0.3, 0.0, 0.0, np.pi / 2]))
+    spread = np.zeros((15, 15))
+    spread[5, 5] = 1e-4
+    found, _ = line.refined(track, motion, pose, np.zeros(9), spread)
+    old = track.position[7:34] - [1.0, 2.0, 3.0]
+    expected = np.stack([-old[:, 1], old[:, 0], old[:, 2]], axis=1)
+    expected += np.array([1.1, 1.8, 3.3])
+    assert_allclose(found.position, expected, atol=1e-12)
+    turned = Rotation.from_quat(found.attitude).as_rotvec()
+    assert_allclose(turned, np.tile([0, 0, np.pi / 2], (27, 1)), atol=1e-12)
+    # A turn about the vertical of 10 mrad moves a point by its distance.
+    away = np.linalg.norm((found.position - pose.position)[:, :2], axis=1)
+    sides = found.covariance[:, 0, 0] + found.covariance[:, 1, 1]
+    assert_allclose(sides, (0.01 * away) ** 2)
+    assert_allclose(found.covariance[:, 5, 5], 1e-4)
