@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from amulor.acquisition.cube.samples import Samples, counting_variance
 from amulor.acquisition.settings import Procedure
 from amulor.acquisition.uncertainty import (
+    edge_error,
     reading_variance,
     readings_of,
     variance_ratio,
@@ -104,3 +105,16 @@ def test_a_moving_beam_saw_at_least_the_light_that_was_modulated(small: Survey) 
         one_sample(small, mean=0.0, amplitude=1e-5), small, Procedure()
     )
     assert (still < unknown).all()
+
+
+def test_the_error_of_a_step_needs_four_readings() -> None:
+    # Inputs of 0, 1 and 2 V, each for 0.1 s, behind a filter of 1 s.
+    output = [0.0]
+    for value in (0.0, 1.0, 2.0):
+        output.append(value + (output[-1] - value) * np.exp(-0.1))
+    times = 0.1 * np.arange(4)
+    # A step of 2 V over the interval in the middle, of three.
+    expected = 2 * 0.1 / 2 / 30**0.5 / 3
+    found = edge_error(output, times, time_constant=1.0)
+    assert found == pytest.approx(expected)
+    assert edge_error(output[:3], times[:3], time_constant=1.0) == 0.0

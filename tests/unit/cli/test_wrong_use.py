@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from amulor.cli import main
+from amulor.cli._arguments import UsageError
+from amulor.cli.site import epochs_of
 
 #: Words of a command, and what is said of them. Files `there` exist, others do not.
 WRONG = [
@@ -168,3 +172,14 @@ def test_constants_of_water_are_known_at_both_ends(wavelength: str) -> None:
         main(["water", "--wavelength", wavelength, "--temperature=15", "--salinity=35"])
         == 0
     )
+
+
+def test_the_first_and_the_last_visit_are_compared_or_those_that_are_named() -> None:
+    names = ("spring", "summer", "autumn")
+    site: Any = SimpleNamespace(epoch=[SimpleNamespace(name=name) for name in names])
+    assert epochs_of(site, None, None) == ("spring", "autumn")
+    assert epochs_of(site, "autumn", "summer") == ("autumn", "summer")
+    with pytest.raises(UsageError, match="'winter' is no epoch of the site; there are"):
+        epochs_of(site, "spring", "winter")
+    with pytest.raises(UsageError, match="must be given together"):
+        epochs_of(site, None, "winter")

@@ -152,3 +152,29 @@ def test_more_scatter_than_by_chance_is_a_misfit(count, scatter, misfit) -> None
     assert found.weight[3] == 0
     np.testing.assert_allclose(found.weight[good], 1 / (2e-3 * found.misfit) ** 2)
     assert found.moved.size == 0
+
+
+@pytest.mark.parametrize("steps", [(1, 1), (2, 3), (3, 1)])
+@pytest.mark.parametrize(("shift", "is_moved"), [(1.2, True), (0.9, False)])
+def test_points_that_are_displaced_with_their_neighbors_have_moved(
+    steps: tuple[int, int], shift: float, is_moved: bool
+) -> None:
+    # Each second or third pixel is compared; 25 neighbors have a fifth of the noise of
+    # one, so that 5 standard errors are one.
+    rows, columns = (step * np.arange(30) for step in steps)
+    row, column = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
+    smooth = np.ones((steps[0] * 30, steps[1] * 30), dtype=bool)
+    points: Any = SimpleNamespace(
+        variance=np.array([np.full(900, 1e-6), np.full(900, 1e-14)]), smooth=smooth,
+        pixel=row * smooth.shape[1] + column,
+    )  # fmt: skip
+    inside = (np.abs(row / steps[0] - 15) < 4) & (np.abs(column / steps[1] - 12) < 4)
+    score = np.where(inside, shift, 0.0)
+    good = np.ones(900, dtype=bool)
+    found = bodies._offset_together(points, score, good, 1.0)
+    assert found[inside].any() == is_moved
+    # Two more on each side may go with it.
+    near = (np.abs(row / steps[0] - 15) < 7) & (np.abs(column / steps[1] - 12) < 7)
+    assert not found[~near].any()
+    # With twice the scatter, it is noise.
+    assert not bodies._offset_together(points, score, good, 2.0).any()
