@@ -141,7 +141,7 @@ def _print(recommendation: Recommendation, files: list[Path]) -> None:
 
 def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
     """Print an instrument, its requirements and its largest error sources."""
-    from amulor.design.requirements import lines_text, parameters_text, quantity_text
+    from amulor.design.requirements import lines_texts, parameters_text, quantity_text
 
     print(f"  {word}: {parameters_text(choice.parameters)}")
     cost = f", price {choice.cost:g}" if choice.cost else ""
@@ -152,9 +152,10 @@ def _print_choice(word: str, choice: Choice, accuracy: float) -> None:
         f"{choice.binding.replace('_', ' ')}"
     )
     if choice.lines is not None:
-        lines, points = lines_text(choice.lines, choice.parameters)
-        print(f"    vehicle: {lines}")
-        print(f"      {points}")
+        texts = lines_texts(choice.lines, choice.parameters).items()
+        told = [f"{label} {text}" for label, text in texts]
+        print(f"    vehicle: {'; '.join(told[:3])}")
+        print(f"      {'; '.join(told[3:])}")
     shares = choice.shares
     if shares is not None and shares.error < 0.98 * shares.even:
         divided = " : ".join(f"{100 * part:.0f}" for part in shares.share)

@@ -19,7 +19,7 @@ from amulor.design.vehicle import Lines
 __all__ = [
     "Requirement",
     "Shortfall",
-    "lines_text",
+    "lines_texts",
     "parameters_text",
     "quantity_text",
     "shortfalls",
@@ -232,15 +232,19 @@ def parameters_text(chosen: Parameters) -> str:
     )
 
 
-def lines_text(lines: Lines, chosen: Parameters) -> tuple[str, str]:
-    """Format survey lines and the distances between their points, a text each."""
+def lines_texts(lines: Lines, chosen: Parameters) -> dict[str, str]:
+    """Format survey lines and the distances between their points, by label."""
+
+    def millimeters(length: float) -> str:
+        return f"{1e3 * length:.3g} mm"
+
     apart = f", {lines.spacing:.3g} m apart" if lines.count > 1 else ""
-    lines_word = "line" if lines.count == 1 else "lines"
-    spot = f", spot of {1e3 * lines.spot:.3g} mm" if lines.spot > 0 else ""
-    return (
-        f"{lines.speed:.3g} m/s, readings {chosen.readings.replace('-', ' ')}; "
-        f"{lines.count} {lines_word} of {lines.length:g} m{apart}",
-        f"{1e3 * lines.between_rows:.3g} mm between rows, "
-        f"{1e3 * lines.between_columns:.3g} mm between points of a row; readings of a "
-        f"pixel along {1e3 * lines.along_readings:.3g} mm{spot}",
-    )
+    texts = {
+        "speed": f"{lines.speed:.3g} m/s",
+        "readings": chosen.readings.replace("-", " "),
+        "survey lines": f"{lines.count} of {lines.length:g} m{apart}",
+        "between rows": millimeters(lines.between_rows),
+        "between points of a row": millimeters(lines.between_columns),
+        "way during a pixel": millimeters(lines.along_readings),
+    }
+    return texts | ({"laser spot": millimeters(lines.spot)} if lines.spot > 0 else {})

@@ -21,13 +21,14 @@ from amulor.cli.design import _print_choice
 from amulor.design import Goal, Recommendation, evaluate, recommend
 from amulor.design._kernels import astray
 from amulor.design.candidates import first_choice, lines_of, scan_time, survey_of
-from amulor.design.requirements import lines_text
+from amulor.design.requirements import lines_texts
 from amulor.design.scores import Judge, grid_of
 from amulor.design.vehicle import Vehicle
 from amulor.errors import SurveyError
 from amulor.simulation import simulate
 from amulor.survey import Survey
 from amulor.survey.course import planned_spacing, planned_track
+from amulor.view.design.report import _components
 
 VEHICLE = """
 [vehicle]
@@ -290,9 +291,10 @@ def test_lines_are_printed(calm: Recommendation, capsys) -> None:
     out = " ".join(capsys.readouterr().out.split())
     lines = calm.best.lines
     assert lines is not None
-    assert f"vehicle: {lines.speed:.3g} m/s, readings " in out
-    assert f"{lines.count} lines of 6 m, {lines.spacing:.3g} m apart" in out
-    assert f"{1e3 * lines.between_rows:.3g} mm between rows" in out
+    assert f"vehicle: speed {lines.speed:.3g} m/s; readings in turn; " in out
+    assert f"survey lines {lines.count} of 6 m, {lines.spacing:.3g} m apart" in out
+    assert f"between rows {1e3 * lines.between_rows:.3g} mm; between points" in out
+    assert f"; way during a pixel {1e3 * lines.along_readings:.3g} mm met:" in out
     assert "met: row spacing" in out
     assert "spot" not in out
 
@@ -305,7 +307,7 @@ def test_the_laser_spot_widens_with_the_distance(text: str, capsys) -> None:
     assert lines is not None
     # 3 mm and 2.5 m times 1.6 mrad at right angles: 5 mm.
     assert lines.spot == pytest.approx(0.01)
-    assert lines_text(lines, chosen)[1].endswith(", spot of 10 mm")
+    assert lines_texts(lines, chosen)["laser spot"] == "10 mm"
 
 
 def test_waves_call_for_readings_at_once(text: str, calm: Recommendation) -> None:
@@ -405,3 +407,11 @@ def test_goals_of_vehicles_that_contradict_themselves_are_refused(
 def test_a_goal_without_a_vehicle_needs_its_rows(goal_text: str) -> None:
     with pytest.raises(SurveyError, match="scan needs rows and elevation_span"):
         Goal.from_text(goal_text.replace("rows = 30\n", ""))
+
+
+def test_the_report_lists_speed_and_lines(calm: Recommendation) -> None:
+    lines = calm.best.lines
+    assert lines is not None
+    cells = {row[0]: row[1] for row in _components(calm).rows}
+    assert cells["speed"] == f"{lines.speed:.3g} m/s"
+    assert cells["between rows"] == f"{1e3 * lines.between_rows:.3g} mm"

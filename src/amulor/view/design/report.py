@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from amulor.design.confirm import Confirmation
 from amulor.design.evaluate import evaluate
 from amulor.design.goal import Goal
 from amulor.design.recommend import Choice, Recommendation
-from amulor.design.requirements import lines_text, parameters_text, written
+from amulor.design.requirements import lines_texts, parameters_text, written
 from amulor.design.sensitivity import Sensitivity
 from amulor.design.trade import Trade, Turn
 from amulor.survey import water_properties
@@ -241,21 +240,20 @@ def _components(recommendation: Recommendation) -> Table:
         ("time of a scan", lambda choice: f"{choice.scan_time / 60:.3g} min"),
         ("cost", lambda choice: f"{choice.cost:,.0f}" if choice.cost else "not stated"),
     ]
-    if recommendation.goal.vehicle is not None:
-        for number, label in enumerate(("survey lines", "distances of points")):
-            more.append((label, partial(_lines, number)))
     rows += [[label, *(text(choice) for _, choice in choices)] for label, text in more]
+    driven = [
+        lines_texts(choice.lines, choice.parameters)
+        for _, choice in choices
+        if choice.lines is not None
+    ]
+    for label in driven[0] if driven else ():
+        rows.append([label, *(texts[label] for texts in driven)])
     return Table(
         ["", *(title for title, _ in choices)],
         rows,
         "The runner-up is the best instrument with another laser, scheme, method or "
         "number of frequencies.",
     )
-
-
-def _lines(number: int, choice: Choice) -> str:
-    assert choice.lines is not None
-    return lines_text(choice.lines, choice.parameters)[number]
 
 
 def _written(chosen: Parameters, name: str) -> str:
