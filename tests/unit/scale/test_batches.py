@@ -208,3 +208,32 @@ def test_a_fitted_step_is_used_again_for_the_same_file_only() -> None:
     assert hash(key) == hash(again)
     assert key != other
     assert key != "ranges, a.nc, 1"
+
+
+@pytest.mark.parametrize("by_file", [True, False])
+def test_a_file_is_made_again_when_what_it_was_made_from_has_changed(
+    tmp_path: Path, by_file: bool
+) -> None:
+    source, made = tmp_path / "source.toml", []
+
+    def of(content: str) -> Path | str:
+        source.write_text(content)
+        return source if by_file else content
+
+    def make(path: Path) -> None:
+        made.append(path.name)
+        path.write_text("result")
+
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    for content, how, count in (
+        ("one", 1, 1), ("one", 1, 1), ("two", 1, 2), ("two", 2, 3), ("two", 2, 3)
+    ):  # fmt: skip
+        record = tasks.Record(folder)
+        given = of(content)
+        assert record.is_made("a.nc", of=given, how={"n": how}) == (count == len(made))
+        record.made("a.nc", of=given, how={"n": how}, make=make)
+        assert len(made) == count
+    # A result that was changed by hand is made again, too.
+    (folder / "a.nc").write_text("other")
+    assert not tasks.Record(folder).is_made("a.nc", of=of("two"), how={"n": 2})
