@@ -371,3 +371,26 @@ def test_a_tile_without_rows_is_refused(rows: int) -> None:
     step: Any = None
     with pytest.raises(ValueError, match=f"a tile has 1 row at least, got {rows}"):
         next(run_step(step, tiles.InMemory(numbered(3)), rows=rows))
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "wide"),
+    # Of 1,600 pixels, 40 x 40: all columns of a scan that is up to 160 wide and high.
+    [(90, 90, 90), (90, 161, 40), (41, 160, 160), (40, 100, 40), (500, 30, 30)],
+)
+def test_a_sample_has_all_columns_of_a_scan_that_is_not_much_wider(
+    monkeypatch: pytest.MonkeyPatch, rows: int, columns: int, wide: int
+) -> None:
+    monkeypatch.setattr(tiles, "SAMPLE", 40 * 40)
+    asked: list[int] = []
+    kept = tiles._spread_bands
+
+    def spread(size: int, room: int) -> Any:
+        asked.append(room)
+        return kept(size, room)
+
+    monkeypatch.setattr(tiles, "_spread_bands", spread)
+    cube = xr.Dataset({"number": (("row", "column"), np.zeros((rows, columns)))})
+    tiles.sample_of(tiles.InMemory(cube))
+    assert asked[0] == wide
+    assert asked[1] == max(1600 // wide, 1)

@@ -16,7 +16,15 @@ from numpy.testing import assert_allclose
 
 from amulor.cube import QualityFlag
 from amulor.errors import AmulorError, CubeError
-from amulor.handover import Order, hand_over, order, page, products, references
+from amulor.handover import (
+    Order,
+    drawings,
+    hand_over,
+    order,
+    page,
+    products,
+    references,
+)
 from amulor.handover.archive import check
 from amulor.handover.site_drawings import _cross, _ellipse, _middle_lines
 from amulor.imaging import Frame, frame_of
@@ -225,3 +233,20 @@ def test_a_field_of_a_table_is_missing_or_empty(tmp_path: Path) -> None:
     problems = []
     assert check._field_table(tmp_path, "gone.csv", ("a",), problems) == {}
     assert problems == ["gone.csv is missing"]
+
+
+def test_a_half_profile_has_its_axis_its_mirror_and_its_diameters() -> None:
+    turned: Any = SimpleNamespace(
+        radius=np.array([0.1, 0.3, 0.2]), uncertainty=np.full(3, 1e-3)
+    )
+    words = {"upper end": "40 cm", "lower end": "20 cm", "widest place": "60 cm"}
+    drawing = drawings._profile_drawing(
+        turned, np.array([0.0, 0.5, 0.9]), words, "vase", [], Order(product="profile")
+    )
+    lines = {line.layer: line for line in drawing.lines}
+    assert_allclose(lines["axis"].points, [[0, 0], [0, 0.9]])
+    assert_allclose(lines["profile"].points, [[-0.1, 0], [-0.3, 0.5], [-0.2, 0.9]])
+    assert_allclose(lines["outline"].points, [[0.1, 0], [0.3, 0.5], [0.2, 0.9]])
+    across = {line.label: line for line in drawing.lines if line.layer == "diameters"}
+    assert_allclose(across["Ø 40 cm"].points, [[-0.2, 0.9], [0, 0.9]])
+    assert_allclose(across["Ø 20 cm"].points, [[-0.1, 0], [0, 0]])

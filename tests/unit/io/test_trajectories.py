@@ -407,3 +407,15 @@ def test_a_full_turn_of_longitude_is_the_largest(latitude, longitude, right):
         return
     with pytest.raises(FormatError, match=r"^1: latitude .* are no angles in degrees"):
         projected(*angles, "EPSG:32631", place=str)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (560000.0, 4870000.0, 0.0)])
+def test_true_north_is_that_of_the_place_whatever_is_taken_off(tmp_path, offset):
+    # At 10.5 degrees east and 44 degrees north: 1.5 degrees sin(44 degrees).
+    rows = [f"{i},620241,{4872900 + i},8,0,0,0" for i in range(5)]
+    path = _table(tmp_path, "t,E,N,U,h,p,r", rows)
+    described = _map(crs="EPSG:32632", crs_offset=offset, heading_from="true")
+    forward = trajectory_from_table(path, described).at([2.0]).rotation[0, :, 2]
+    assert np.degrees(-np.arctan2(*forward[:2])) == pytest.approx(
+        1.5 * np.sin(np.radians(44)), rel=2e-3
+    )

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from corner_rays import double_over_single
 from numpy.testing import assert_allclose
+from scipy.spatial import cKDTree
 
 from amulor import Survey, simulate
-from amulor.simulation import ClosureModel, geometry, lock_in
+from amulor.simulation import ClosureModel, geometry, lock_in, second_reflection
 from amulor.studies.trust.surveys import corner, survey
 
 EDGE = np.array([0.0, 0.0, 2.6])
@@ -102,3 +103,19 @@ def test_light_at_harmonics_is_reflected_twice_too() -> None:
         truth = simulate(each, rng=1, model=ClosureModel()).amulor.truth
         signals.append(np.hypot(truth["target_in_phase"], truth["target_quadrature"]))
     assert np.all(signals[0] > signals[1])
+
+
+def test_rays_of_a_diffuse_reflection_are_even_with_a_density_of_the_cosine() -> None:
+    for normal in ([0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 1.0, 0.0]):
+        (rays,) = second_reflection._directions(np.array([normal]))
+        height = rays @ np.array(normal)
+        assert_allclose(np.linalg.norm(rays, axis=1), 1.0)
+        # Means of the cosine and of its square: 2 / 3 and 1 / 2.
+        assert height.mean() == pytest.approx(2 / 3, abs=1e-3)
+        assert (height**2).mean() == pytest.approx(1 / 2, abs=1e-3)
+        aside = rays - height[:, None] * np.array(normal)
+        assert_allclose(aside.mean(axis=0), 0.0, atol=5e-3)
+        # On the disc of the sines each has about the same room: none is nearer to
+        # another one than three quarters of a square of pi / 512.
+        near = cKDTree(aside).query(aside, k=2)[0][:, 1]
+        assert near.min() > 0.75 * (np.pi / len(rays)) ** 0.5

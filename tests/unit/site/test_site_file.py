@@ -180,3 +180,17 @@ def test_the_command_prints_a_line_or_says_what_is_wrong(
     assert cli.main(["site", "check", path]) == 1
     said = capsys.readouterr().err
     assert said.startswith(f"amulor: {path}: target 'C' in scan 'right'")
+
+
+@pytest.mark.parametrize("name", ["A", "B"])
+def test_a_target_that_is_set_up_anew_has_no_control_point(
+    folder: Path, name: str
+) -> None:
+    text = SITE.replace('name = "A"\n', 'name = "A"\nmoved = true\n', 1)
+    text = text.replace('[[control]]\ntarget = "A"', f'[[control]]\ntarget = "{name}"')
+    if name == "A":
+        with pytest.raises(SurveyError, match="'A' is set up anew at each epoch"):
+            Site.from_text(text, folder=folder)
+    else:
+        found = Site.from_text(text, folder=folder)
+        assert [control.target for control in found.control] == ["B"]

@@ -11,7 +11,7 @@ import pytest
 
 from amulor.errors import SurveyError
 from amulor.simulation import geometry
-from amulor.survey import Survey, course, properties, reach
+from amulor.survey import Disc, Survey, course, properties, reach
 from amulor.survey.directions import scan_directions
 from amulor.survey.platform import HoverCourse
 from amulor.survey.reach import target_reach
@@ -229,3 +229,40 @@ def test_crosstalk_has_a_value_for_all_frequencies_or_for_each(
             Survey.from_text(text)
     else:
         assert Survey.from_text(text).instrument.errors is not None
+
+
+@pytest.mark.parametrize(
+    ("holes", "complaint"),
+    [
+        ({}, ""),
+        ({"central_hole": "19.9 cm"}, ""),
+        ({"central_hole": "20 cm"}, r"central_hole \(0.2 m\) must be smaller than dia"),
+        # Holes of 2 cm on a circle of 14 cm reach from 6 to 8 cm off the middle.
+        ({"circle": "14 cm"}, ""),
+        ({"circle": "14 cm", "central_hole": "11.9 cm"}, ""),
+        (
+            {"circle": "14 cm", "central_hole": "12.1 cm"},
+            "reach from 0.06 to 0.08 m off",
+        ),
+        ({"circle": "17.9 cm"}, ""),
+        ({"circle": "18.1 cm"}, "reach from 0.0805 to 0.1005 m off the middle"),
+        ({"circle": "14 cm", "hole_diameter": "0 cm"}, "hole_diameter must be above 0"),
+    ],
+)
+def test_the_holes_of_a_disc_lie_between_its_middle_and_its_rim(
+    holes: dict[str, str], complaint: str
+) -> None:
+    content: dict[str, Any] = {
+        "kind": "disc", "position": ("0 m", "0 m", "1.5 m"), "reflectance": "20 %",
+        "diameter": "20 cm", "central_hole": holes.get("central_hole", "0 cm"),
+    }  # fmt: skip
+    if "circle" in holes:
+        content |= {
+            "hole_count": 6, "hole_circle": holes["circle"],
+            "hole_diameter": holes.get("hole_diameter", "2 cm"),
+        }  # fmt: skip
+    if complaint:
+        with pytest.raises(ValueError, match=complaint):
+            Disc.model_validate(content)
+    else:
+        assert Disc.model_validate(content).diameter == 0.2

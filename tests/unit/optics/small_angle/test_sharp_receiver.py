@@ -176,3 +176,13 @@ def test_compiled_loop_is_the_loop_as_written():
         kernels.collected.py_func(*arguments, written)
         # Waves that cancel; contracted multiplications round once less.
         assert_allclose(compiled, written, rtol=1e-9)
+
+
+def test_water_that_only_absorbs_sends_nothing_back_but_light_that_meets_it():
+    clear = ALL | {"scattering": 0.0}
+    frequency = [1e6, 3e7]
+    thin = water_response(frequency, **clear, backscatter_vsf=1e-3)
+    wide = water_response(frequency, **clear, backscatter_vsf=1e-3, beam_radius=1e-4)
+    assert np.abs(thin).min() > 0
+    # A beam of a tenth of a millimeter has the response of a line.
+    assert_allclose(wide, thin, rtol=2e-3)
