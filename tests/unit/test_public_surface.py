@@ -138,3 +138,16 @@ def test_tab_completion_of_a_package_hides_internal_modules(package: str) -> Non
     module = importlib.import_module(package)
     shown = [name for name in dir(module) if not name.startswith("__")]
     assert shown == sorted(module.__all__)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "acquisition.settings", "cube", "handover", "handover.archive", "imaging",
+        "imaging.measure", "imaging.products", "io", "platform", "rejection", "site",
+    ],
+)  # fmt: skip
+def test_a_package_shows_its_public_names_alone(name: str) -> None:
+    package = importlib.import_module(f"amulor.{name}")
+    assert dir(package) == sorted(package.__all__)
+    assert len(package.__all__) > 0

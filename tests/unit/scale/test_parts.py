@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -105,3 +107,41 @@ def test_a_scan_goes_on_after_the_last_of_its_parts(task: Task, fault: str) -> N
     assert answer(4, last) == Done(
         name="scan", files={"c": "d"}, made=("a", "b"), error=""
     )
+
+
+def test_a_file_of_three_parts_has_the_rows_of_all(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    written: list[tuple[int, str]] = []
+    asked: list[int] = []
+
+    @contextmanager
+    def writer(path: Path, rows: int, *, overwrite: bool) -> Iterator[Any]:
+        asked.append(rows)
+        yield SimpleNamespace(put=lambda tile, at: written.append((at, tile)))
+
+    @contextmanager
+    def opened(step: Any, *, check_digest: bool) -> Iterator[Any]:
+        assert check_digest
+        yield SimpleNamespace(
+            tiles=lambda begin, end: [(n, f"row {n}") for n in range(begin, end)]
+        )
+
+    monkeypatch.setattr(parts, "parts_of", lambda *_: [(0, 2), (2, 4), (4, 5)])
+    monkeypatch.setattr(parts, "row_writer", writer)
+    monkeypatch.setattr(parts, "_opened", opened)
+    step: Any = SimpleNamespace(name="ranges.nc", task=None, folder=tmp_path)
+    # Without the parts, all rows are computed.
+    parts.whole(step, tmp_path / "ranges.nc")
+    assert asked == [5]
+    assert written == [(n, f"row {n}") for n in range(5)]
+    written.clear()
+    monkeypatch.setattr(
+        parts, "_put", lambda to, first, file, step: to.put(file.parent.name, first)
+    )
+    for begin in (0, 2, 4):
+        (tmp_path / f"{begin:08d}").mkdir()
+        (tmp_path / f"{begin:08d}" / parts.ROWS).touch()
+    parts.whole(step, tmp_path / "ranges.nc")
+    assert asked == [5, 5]
+    assert written == [(0, "00000000"), (2, "00000002"), (4, "00000004")]
