@@ -145,3 +145,19 @@ def test_a_file_of_three_parts_has_the_rows_of_all(
     parts.whole(step, tmp_path / "ranges.nc")
     assert asked == [5, 5]
     assert written == [(0, "00000000"), (2, "00000002"), (4, "00000004")]
+
+
+@pytest.mark.parametrize(
+    ("rows", "tile_rows", "expected"),
+    [(100, 99, True), (100, 100, False), (100, None, False), (10**6, None, True)],
+)
+def test_large_files_are_split_but_for_a_cloud_in_one_file(
+    monkeypatch: pytest.MonkeyPatch, rows: int, tile_rows: int | None, expected: bool
+) -> None:
+    names = ("samples.nc", "ranges.nc", "cloud.ply")
+    steps = tuple(SimpleNamespace(name=name) for name in names)
+    monkeypatch.setattr(parts, "chain", lambda task: steps)
+    monkeypatch.setattr(parts, "_sizes", lambda step: SimpleNamespace(rows=rows))
+    monkeypatch.setattr(parts.tiles, "samples_of_row", lambda sizes: 100)
+    task: Any = SimpleNamespace(tile_rows=tile_rows)
+    assert parts.splits(task) == (names[:2] if expected else ())
