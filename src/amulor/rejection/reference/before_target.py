@@ -66,6 +66,8 @@ class Turbidity:
     upper bound for few frequencies [1]."""
     shown: float
     """Part of the misfit that is detected in the shots [1]."""
+    is_real: bool = True
+    """Whether the noise of the shots does not explain the misfit."""
     is_extreme: bool = False
     """Whether the best factor lies at an end of the tested range, or beyond."""
     paper: bool = False
@@ -86,6 +88,8 @@ def turbidity_of(
     form of the paper by less than half as much. The remaining deviation at the best
     factor is the error of the model.
     """
+    from scipy.special import chdtrc
+
     directions = _spread(scan.azimuth.size)
     frequencies, channels = open_water.shape[:2]
 
@@ -142,6 +146,8 @@ def turbidity_of(
         steeper=scaled(survey, factor * float(np.exp(uncertainty))),
         misfit=min(misfit, 1.0),
         shown=min(float(np.sqrt(unexplained)), 1.0),
+        # Directions may share the errors of all shots.
+        is_real=bool(chdtrc(freedom, lowest / len(directions)) < LARGEST_CHANCE),
         is_extreme=is_extreme,
         paper=paper,
     )
@@ -476,9 +482,13 @@ def contradiction(
     sure = abs(strength.change) - _SURE * strength.uncertainty > LARGEST_CHANGE
     # No water has a negative strength or resembles these shots.
     negative = sure and strength.change <= -1
-    unlike = turbidity is not None and (
-        turbidity.misfit > LARGEST_MISFIT
-        or (turbidity.is_extreme and turbidity.shown > _EXTREME_MISFIT)
+    unlike = (
+        turbidity is not None
+        and turbidity.is_real
+        and (
+            turbidity.misfit > LARGEST_MISFIT
+            or (turbidity.is_extreme and turbidity.shown > _EXTREME_MISFIT)
+        )
     )
     phases = strength.phases
     if negative or unlike or (phases and phases.least_change > LARGEST_CHANGE):

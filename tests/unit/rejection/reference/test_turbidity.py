@@ -55,6 +55,7 @@ def found_in(
     paper: bool = False,
     excess: float = 1.0,
     add: complex = 0.0,
+    shared: bool = False,
 ) -> Turbidity:
     """Return the turbidity of shots of the model, with noise."""
     rng = np.random.default_rng(seed)
@@ -66,7 +67,9 @@ def found_in(
     corner = 30e6 * factor / (1 + paper)
     of = level / (1 - 1j * frequency[:, None, None] / corner)
     water = np.stack([of, 0.3 * of], axis=1) + add
-    draws = rng.standard_normal((2, *water.shape))
+    # Errors of a fit of all shots are those of each direction.
+    drawn = (*water.shape[:2], 1, 1) if shared else water.shape
+    draws = rng.standard_normal((2, *drawn))
     water = water + excess * noise * (draws[0] + 1j * draws[1])
     variance = np.full(water.shape, noise**2)
     survey: Any = 1.0
@@ -183,6 +186,16 @@ def test_light_that_is_no_water_is_a_misfit() -> None:
     assert found_in(1.0, noise=1e-4, add=-1e3).shown <= 1.0
 
 
+@pytest.mark.parametrize("shared", [True, False])
+def test_shots_lost_in_noise_are_no_contradiction(shared: bool) -> None:
+    lost = [found_in(1.0, noise=5.0, seed=seed, shared=shared) for seed in range(60)]
+    assert np.mean([found.misfit > 0.2 for found in lost]) > 0.2
+    assert not any(found.is_real for found in lost)
+    # Light of twice the noise in all directions, frequencies and channels is real.
+    assert found_in(1.0, noise=5.0, shared=shared, add=40.0).is_real
+    assert found_in(1.0, noise=1e-3, shared=shared, add=0.02).is_real
+
+
 def turbidity(**changed: Any) -> Turbidity:
     values: dict[str, Any] = {
         "survey": None, "factor": 1.0, "uncertainty": 0.1, "steeper": None,
@@ -204,6 +217,9 @@ def turbidity(**changed: Any) -> Turbidity:
         (-0.999, 0.01, {}, "WATER_CHANGED"),
         (-1.2, 0.31, {}, ""),
         (1.2, 0.01, {}, "WATER_CHANGED"),
+        # Noise explains it.
+        (0.0, 0.0, {"misfit": 0.9, "is_real": False}, ""),
+        (0.0, 0.0, {"shown": 0.9, "is_extreme": True, "is_real": False}, ""),
         # Shots that are off any water by 20 %, or by 5 % of the most extreme one.
         (0.0, 0.0, {"misfit": 0.201}, "INSTRUMENT"),
         (0.0, 0.0, {"misfit": 0.199}, ""),
