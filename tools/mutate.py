@@ -1030,9 +1030,10 @@ def main() -> int:
         if mutant.unseen or mutant.key in known:
             seed = earlier.get(mutant.key, {}).get("seed", str(words.seed))
             earlier[mutant.key] = _row(mutant, "equivalent", Outcome(), seed)
-    waiting = [m for m in drawn if words.again or m.key not in earlier]
     part, parts = map(int, words.part.split("/"))
-    waiting = waiting[part - 1 :: parts]
+    # Parts of what is drawn, not of what is left, so that each goes on with its own.
+    mine = drawn[part - 1 :: parts]
+    waiting = [m for m in mine if words.again or m.key not in earlier]
     deadline = time.monotonic() + 60 * words.minutes
     os.environ |= {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     if tests:

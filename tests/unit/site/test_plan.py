@@ -204,6 +204,7 @@ def test_small_parts_of_an_outline_and_gaps_are_not_drawn() -> None:
         part = replace(scan.surface, triangles=triangles)
         return plan.footprint(replace(scan, surface=part), cell=1e-3)
 
+    assert outlines(x > np.inf) == []
     # A hole is no outline, and neither is a gap of five cells between two halves.
     assert len(outlines(~middle)) == 1
     assert len(outlines(np.abs(x) > 2.5e-3)) == 1

@@ -269,8 +269,9 @@ def footprint(scan: PlacedScan, *, cell: float) -> list[Floats]:
 
     Gaps of up to six cells are closed, and holes are left out.
     """
-    window = bounds([scan])
-    raster = _raster_in(scan, cell, window)
+    if not len(scan.surface.triangles):
+        return []
+    raster = _raster_in(scan, cell, bounds([scan]))
     if raster is None:
         return []
     covered = np.pad(np.isfinite(raster.height), 8)
