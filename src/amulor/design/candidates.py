@@ -355,14 +355,15 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         ),
         calibration=goal.calibration,
         daylight=goal.daylight,
-        **_carried(goal, chosen, length),
+        **_carried(goal, chosen, lines, length),
     )
     return geometry.with_receiver(bare, baseline=chosen.baseline, aim=distance)
 
 
-def _carried(goal: Goal, chosen: Parameters, length: float) -> dict[str, Any]:
+def _carried(
+    goal: Goal, chosen: Parameters, lines: Lines | None, length: float
+) -> dict[str, Any]:
     """Pose and vehicle of a survey, above the middle of a line that leads north."""
-    lines = lines_of(goal, chosen)
     if goal.vehicle is None or lines is None:
         return {}
     down = {"pitch": -math.pi / 2}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from amulor.design.candidates import Parameters
 from amulor.design.evaluate import TERMS
 from amulor.design.goal import Goal
-from amulor.design.scores import Score, required
+from amulor.design.scores import Score, achieved, limits_of, required
 from amulor.design.search import Candidate
 from amulor.design.vehicle import Lines
 
@@ -139,18 +138,12 @@ def table(
                 f"wrong interval {at}", wrong, accuracy.wrong_interval, "1", "ambiguity"
             )
         )
-    rows.append(_row("detector output", float(score.output[0]), 1.0, "1", "saturation"))
-    rows.append(_row("validity of the model", float(score.validity[0]), 1.0, "1", ""))
-    rows.append(_row("scan time", float(score.time[0]), goal.scan.longest, "s", ""))
-    if goal.vehicle is not None:
-        wanted = goal.vehicle.row_spacing
-        rows.append(_row("row spacing", float(score.rows[0]), wanted, "m", ""))
-        if goal.vehicle.smear is not None:
-            smear = float(score.smear[0])
-            rows.append(_row("smear", smear, goal.vehicle.smear, "m", ""))
-    if goal.components.budget is not None:
-        cost = float(score.cost[0])
-        rows.append(_row("budget", cost, goal.components.budget, "1", ""))
+    values = achieved(score)
+    for name, limit in limits_of(goal).items():
+        if name not in ("total error", "wrong interval"):
+            binding = "saturation" if name == "detector output" else ""
+            unit = _UNITS.get(name, "1")
+            rows.append(_row(name, float(values[name][0]), limit, unit, binding))
     return tuple(rows)
 
 
@@ -192,15 +185,7 @@ def shortfalls(goal: Goal, best: Candidate, scores: Score) -> tuple[Shortfall, .
 
 
 def _shortfall(goal: Goal, name: str, factor: float, *, alone: bool) -> Shortfall:
-    limits: dict[str, Callable[[], float]] = {
-        "total error": lambda: goal.accuracy.total_error,
-        "wrong interval": lambda: goal.accuracy.wrong_interval,
-        "scan time": lambda: goal.scan.longest,
-        "row spacing": lambda: goal.vehicle.row_spacing if goal.vehicle else 0.0,
-        "smear": lambda: (goal.vehicle.smear if goal.vehicle else None) or 0.0,
-        "budget": lambda: goal.components.budget or 0.0,
-    }
-    limit = limits.get(name, lambda: 1.0)()
+    limit = limits_of(goal)[name]
     value = factor * limit
     would = "would do alone" if alone else "is missed, and others with it"
     return Shortfall(

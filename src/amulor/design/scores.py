@@ -29,7 +29,16 @@ from amulor.design.light import Case, Lit, case_of, lit
 from amulor.design.numbers import MOST_BENT, Assessed, assessed
 from amulor.survey import water_properties
 
-__all__ = ["Grid", "Judge", "Score", "draws_at", "merits", "required"]
+__all__ = [
+    "Grid",
+    "Judge",
+    "Score",
+    "achieved",
+    "draws_at",
+    "limits_of",
+    "merits",
+    "required",
+]
 
 Floats = NDArray[np.float64]
 
@@ -139,23 +148,40 @@ def merits(goal: Goal, score: Score, *, with_intervals: bool = True) -> Floats:
     return np.asarray(merit)
 
 
-def required(goal: Goal, score: Score) -> dict[str, Floats]:
-    """Ratio of achieved to allowed value, for each requirement of a goal."""
-    vehicle, budget = goal.vehicle, goal.components.budget
-    ratios = {
-        "total error": score.error.max(axis=1) / goal.accuracy.total_error,
-        "wrong interval": score.wrong.max(axis=1) / goal.accuracy.wrong_interval,
+def limits_of(goal: Goal) -> dict[str, float]:
+    """Largest allowed value of each requirement of a goal, in SI units."""
+    vehicle = goal.vehicle
+    limits = {
+        "total error": goal.accuracy.total_error,
+        "wrong interval": goal.accuracy.wrong_interval,
+        "detector output": 1.0,
+        "validity of the model": 1.0,
+        "scan time": goal.scan.longest,
+        "row spacing": None if vehicle is None else vehicle.row_spacing,
+        "smear": None if vehicle is None else vehicle.smear,
+        "budget": goal.components.budget,
+    }
+    return {name: limit for name, limit in limits.items() if limit is not None}
+
+
+def achieved(score: Score) -> dict[str, Floats]:
+    """Achieved value of each requirement, at the worst distance, (candidate,)."""
+    return {
+        "total error": score.error.max(axis=1),
+        "wrong interval": score.wrong.max(axis=1),
         "detector output": score.output,
         "validity of the model": score.validity,
-        "scan time": score.time / goal.scan.longest,
+        "scan time": score.time,
+        "row spacing": score.rows,
+        "smear": score.smear,
+        "budget": score.cost,
     }
-    if vehicle is not None:
-        ratios["row spacing"] = score.rows / vehicle.row_spacing
-        if vehicle.smear is not None:
-            ratios["smear"] = score.smear / vehicle.smear
-    if budget is not None:
-        ratios["budget"] = score.cost / max(budget, 1e-9)
-    return ratios
+
+
+def required(goal: Goal, score: Score) -> dict[str, Floats]:
+    """Ratio of achieved to allowed value, for each requirement of a goal."""
+    values = achieved(score)
+    return {name: values[name] / (it or 1e-9) for name, it in limits_of(goal).items()}
 
 
 def _log(ratio: Floats) -> Floats:
@@ -320,12 +346,14 @@ class Judge:
         for t, dwell in enumerate(grid.dwell):
             for s, members in enumerate(grid.sets):
                 sample = replace(like, dwell=dwell, frequencies=members)
-                paces["time"][..., t, s] = scan_time(self.goal, sample)
                 lines = lines_of(self.goal, sample)
-                if lines is not None:
-                    paces["rows"][..., t, s] = lines.between_rows
-                    paces["smear"][..., t, s] = lines.along_readings
-                    paces["speed"][..., t, s] = lines.speed
+                if lines is None:
+                    paces["time"][..., t, s] = scan_time(self.goal, sample)
+                    continue
+                paces["time"][..., t, s] = lines.time
+                paces["rows"][..., t, s] = lines.between_rows
+                paces["smear"][..., t, s] = lines.along_readings
+                paces["speed"][..., t, s] = lines.speed
         return paces
 
     def _prices(self, grid: Grid, like: Parameters) -> Floats:

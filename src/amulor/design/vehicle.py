@@ -149,8 +149,7 @@ class Vehicle(Description):
         sharp = math.inf if self.smear is None else self.smear / pixel_time
         fastest = min(self.row_spacing / row_time, sharp, self.fastest)
         speed = max(fastest, self.slowest)
-        swath = 2 * nearest * math.tan(span / 2)
-        count, spacing = self._cover(swath)
+        swath, count, spacing = self._cover(nearest, span)
         return Lines(
             speed=speed,
             time=count * self.length / speed + (count - 1) * self.turn,
@@ -185,16 +184,17 @@ class Vehicle(Description):
         float
             Time of the readings of a pixel [s].
         """
-        count, _ = self._cover(2 * nearest * math.tan(span / 2))
+        _, count, _ = self._cover(nearest, span)
         driven = longest - (count - 1) * self.turn
         needed = count * self.length / driven if driven > 0 else self.fastest
         speed = min(max(needed, self.slowest), self.fastest)
         return min(self.row_spacing / columns, self.smear or math.inf) / speed
 
-    def _cover(self, swath: float) -> tuple[int, float]:
-        """Return number and spacing of lines of one width that cover the area [m]."""
+    def _cover(self, nearest: float, span: float) -> tuple[float, int, float]:
+        """Return width, number and spacing of the lines that cover the area [m]."""
+        swath = 2 * nearest * math.tan(span / 2)
         rest = self.width - swath
         if rest <= 0:
-            return 1, 0.0
+            return swath, 1, 0.0
         gaps = math.ceil(rest / ((1 - self.overlap) * swath) - 1e-9)
-        return gaps + 1, rest / gaps
+        return swath, gaps + 1, rest / gaps
