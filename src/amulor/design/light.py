@@ -18,7 +18,8 @@ from amulor.errors import SurveyError
 from amulor.optics import small_angle, target_echo
 from amulor.optics.late_echo import RELATIVE_UNCERTAINTY, late_echo
 from amulor.optics.small_angle import sharp_receiver
-from amulor.survey import HoverCourse, Survey, WaterProperties
+from amulor.survey import Survey, WaterProperties
+from amulor.survey.course import course_speed
 from amulor.survey.late_light import LEAST_ASYMMETRY, LEAST_PART
 from amulor.survey.view import beam_arguments, has_sharp_receiver
 from amulor.survey.waters.whole_function import whole_phase_function
@@ -149,12 +150,10 @@ def _knots(
     more = (place[between, None] + step * np.arange(1, _FINER)).ravel()
     if not more.size:
         return place, logarithm
-    order = np.argsort(np.append(place, more))
     finer = _log_overlap(survey, water, looks, np.exp(more))
-    return (
-        np.append(place, more)[order],
-        np.append(logarithm, finer, axis=1)[:, order],
-    )
+    place = np.append(place, more)
+    order = np.argsort(place)
+    return place[order], np.append(logarithm, finer, axis=1)[:, order]
 
 
 def _log_overlap(
@@ -428,7 +427,9 @@ def case_of(survey: Survey, water: WaterProperties) -> Case:
         "radius": instrument.receiver.radius,
         "field_of_view": instrument.receiver.acceptance,
         "dwell": survey.scan.dwell,
-        "speed": _speed(survey),
+        "speed": 0.0
+        if survey.platform is None
+        else course_speed(survey.platform.course),
         "phase_floor": instrument.lock_in.phase_floor,
         "dark_rate": instrument.detector.dark_rate,
         "fluctuation": survey.water.signal_fluctuation,
@@ -437,12 +438,6 @@ def case_of(survey: Survey, water: WaterProperties) -> Case:
     if survey.targets:
         survey_values["reflectance"] = survey.targets[0].reflectance
     return Case(survey=survey, water=water, survey_values=survey_values)
-
-
-def _speed(survey: Survey) -> float:
-    """Speed of a vehicle along its course [m/s]; 0 at rest."""
-    course = None if survey.platform is None else survey.platform.course
-    return 0.0 if course is None or isinstance(course, HoverCourse) else course.speed
 
 
 def _places(

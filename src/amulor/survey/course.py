@@ -82,10 +82,15 @@ def planned_spacing(survey: Survey, slant_range: float) -> tuple[float, float]:
     return planned_track(survey)[0] / scan.rows, pitch * slant_range
 
 
+def course_speed(course: Course) -> float:
+    """Return the speed along a course [m/s]; 0 if it keeps its place."""
+    return 0.0 if isinstance(course, HoverCourse) else course.speed
+
+
 def planned_speed(platform: Platform) -> float:
     """Return the planned speed of a vehicle, with current and oscillation [m/s]."""
     wave = platform.disturbance
-    along = 0.0 if isinstance(platform.course, HoverCourse) else platform.course.speed
+    along = course_speed(platform.course)
     swell = 2 * np.pi / wave.period * wave.position
     return float(along + np.linalg.norm(wave.current) + swell)
 
@@ -106,10 +111,9 @@ def range_rate(
     are those of each coordinate, and of the angles for a beam on a slope. `speed`
     replaces that of the course.
     """
-    wave, course = platform.disturbance, platform.course
-    if speed is None:
-        speed = 0.0 if isinstance(course, HoverCourse) else course.speed
-    steady = (np.asarray(speed) + np.linalg.norm(wave.current)) / np.sqrt(3)
+    wave = platform.disturbance
+    along = course_speed(platform.course) if speed is None else speed
+    steady = (np.asarray(along) + np.linalg.norm(wave.current)) / np.sqrt(3)
     turn = np.linalg.norm([wave.heading, wave.pitch, wave.roll])
     frequency = 2 * np.pi / wave.period
     swell = np.hypot(wave.position, _ARM * turn)
