@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joint_states import shared_state
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint.normal import Normal, water_at
-from amulor.rejection.joint.overlap import Shape
 from amulor.rejection.joint.priors import NONE, Shared, cost_of, layout_of
 from amulor.rejection.joint.problem import Problem
 from amulor.rejection.joint.samples import Pixels, weight
@@ -55,7 +55,6 @@ def state_of(vector: np.ndarray, **changed: Any) -> Shared:
     water, echo = water.reshape(2, 2, 4), echo.reshape(2, 4)
     of_shots = shots[:-1].reshape(2, 2, 4)
     values: dict[str, Any] = {
-        "shape": Shape(0.3, 0.05, 0.7, np.zeros(0), np.zeros(0)),
         "table": table,
         "strength": np.array([0.5, 0.2]) + strength,
         "departure": 0.02 + water[0] + 1j * water[1],
@@ -63,17 +62,8 @@ def state_of(vector: np.ndarray, **changed: Any) -> Shared:
         "shot_change": shots[-1],
         "shot_departure": of_shots[0] + 1j * of_shots[1],
         "trend": np.array([0.02, -0.01, 0.01]) + trend,
-        "fluctuation": 0.0,
-        "noise_scale": 1.0,
-        "judged": np.ones((2, 4), dtype=bool),
-        "turn_width": 0.0,
-        "covariance": np.zeros((0, 0)),
-        "parametric": np.zeros((0, 0)),
-        "widths": NONE,
-        "evidence": 0.0,
-        "misfit": 1.0,
     }
-    return Shared(**values | changed)
+    return shared_state(2, 4, **values | changed)
 
 
 PATHS = np.array([5.0, 5.6, 6.1, 6.7, np.inf])

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joint_states import shared_state
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import motion
 from amulor.rejection.joint.normal import Fitted, modelled, path_derivatives, water_at
-from amulor.rejection.joint.overlap import Shape
-from amulor.rejection.joint.priors import NONE, Shared, layout_of
+from amulor.rejection.joint.priors import Shared, layout_of
 from amulor.rejection.joint.samples import Pixels, weight
 from amulor.rejection.joint.solve import Result, solve
 from amulor.rejection.joint.tables import Changes, Table
@@ -65,25 +65,14 @@ def state_of(vector: np.ndarray, **changed: Any) -> Shared:
     water = vector[5:21].reshape(2, 2, 4)
     echo = vector[21:29].reshape(2, 4)
     values: dict[str, Any] = {
-        "shape": Shape(0.3, 0.05, 0.7, np.zeros(0), np.zeros(0)),
         "table": table_of(vector[2:5]),
         "strength": np.array([0.5, 0.2]) + vector[:2],
         "departure": 0.02 + 0.01j + water[0] + 1j * water[1],
         "echo": np.array([0.01, 0.02j, -0.01, 0.0]) + echo[0] + 1j * echo[1],
-        "shot_change": 0.0,
-        "shot_departure": np.zeros((0, 4), dtype=complex),
-        "trend": np.zeros(0),
-        "fluctuation": 0.0,
-        "noise_scale": 1.0,
-        "judged": np.ones((2, 4), dtype=bool),
-        "turn_width": 0.0,
         "covariance": np.zeros((29, 29)),
         "parametric": np.zeros((5, 5)),
-        "widths": NONE,
-        "evidence": 0.0,
-        "misfit": 1.0,
     }
-    return Shared(**values | changed)
+    return shared_state(2, 4, **values | changed)
 
 
 def pixels_of(state: Shared) -> Pixels:

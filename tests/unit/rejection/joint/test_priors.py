@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joint_states import shared_state
 from numpy.testing import assert_allclose
 
 from amulor.rejection.joint import priors
@@ -38,30 +39,20 @@ def state_of(
         parts = rng.standard_normal((2, *shape))
         return 0.01 * (parts[0] + 1j * parts[1])
 
-    table: Any = None
     values: dict[str, Any] = {
         "shape": Shape(
             0.3, 0.05, 0.7, 0.1 * rng.standard_normal(KNOTS), np.arange(1.0, 1 + KNOTS),
             0.01 * rng.standard_normal(TURNS),
         ),
-        "table": table,
-        "strength": np.array([0.5, 0.2]),
         "departure": drawn(CHANNELS, FREQUENCIES),
         "echo": drawn(FREQUENCIES),
         "shot_change": 0.04,
         "shot_departure": drawn(CHANNELS if doubts else 0, FREQUENCIES),
         "trend": 0.01 * np.arange(1.0, 1 + trends),
         "fluctuation": 0.02,
-        "noise_scale": 1.0,
-        "judged": np.ones((CHANNELS, FREQUENCIES), dtype=bool),
         "turn_width": 0.02,
-        "covariance": np.zeros((0, 0)),
-        "parametric": np.zeros((0, 0)),
-        "widths": NONE,
-        "evidence": 0.0,
-        "misfit": 1.0,
     }  # fmt: skip
-    return Shared(**values | changed)
+    return shared_state(CHANNELS, FREQUENCIES, **values | changed)
 
 
 @pytest.mark.parametrize("doubts", [False, True])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from joint_states import shared_state
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
@@ -16,7 +17,7 @@ from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.rejection.covariance import Covariance
 from amulor.rejection.joint import cube as joint_cube
 from amulor.rejection.joint.cube import Scan, cube_of, echo_departs, typical_of
-from amulor.rejection.joint.overlap import Frame, Shape, frame_of
+from amulor.rejection.joint.overlap import Frame, frame_of
 from amulor.rejection.joint.priors import Instrument, Shared, layout_of, range_variance
 from amulor.rejection.joint.search import Estimates
 from amulor.rejection.joint.solve import Result
@@ -41,27 +42,15 @@ def observed(samples: xr.Dataset) -> tuple[Observation, Frame]:
 
 def shared_of(**changed: Any) -> Shared:
     """Return shared parameters of one channel and six frequencies."""
-    table: Any = None
     values: dict[str, Any] = {
-        "shape": Shape(0.3, 0.05, 0.7, np.zeros(0), np.zeros(0)),
-        "table": table,
-        "strength": np.array([0.5]),
-        "departure": np.zeros((1, 6), dtype=complex),
-        "echo": np.zeros(6, dtype=complex),
         "shot_change": np.log(1.1),
-        "shot_departure": np.zeros((0, 6), dtype=complex),
-        "trend": np.zeros(0),
         "fluctuation": 0.02,
-        "noise_scale": 1.0,
-        "judged": np.ones((1, 6), dtype=bool),
-        "turn_width": 0.0,
         "covariance": np.diag(np.linspace(0.01, 0.3, 28) ** 2),
         "parametric": np.zeros((4, 4)),
         "widths": RIGHT,
-        "evidence": 0.0,
         "misfit": 1.25,
     }
-    return Shared(**values | changed)
+    return shared_state(1, 6, **values | changed)
 
 
 def result_of(count: int = 12, **changed: Any) -> Result:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joint_states import shared_state
 from numpy.testing import assert_allclose
 
 from amulor.errors import CubeError
@@ -43,24 +44,11 @@ def pixels_of(count: int, trends: int = 3) -> Pixels:
 def state_of(**changed: Any) -> Shared:
     values: dict[str, Any] = {
         "shape": Shape(0.3, 0.05, 0.7, np.zeros(2), np.array([1.0, 2.0]), np.zeros(2)),
-        "table": None,
-        "strength": np.array([0.5, 0.2]),
-        "departure": np.zeros((2, 3), dtype=complex),
-        "echo": np.zeros(3, dtype=complex),
-        "shot_change": 0.0,
         "shot_departure": np.zeros((2, 3), dtype=complex),
         "trend": np.zeros(3),
-        "fluctuation": 0.0,
-        "noise_scale": 1.0,
-        "judged": np.ones((2, 3), dtype=bool),
         "turn_width": 0.02,
-        "covariance": np.zeros((0, 0)),
-        "parametric": np.zeros((0, 0)),
-        "widths": NONE,
-        "evidence": 0.0,
-        "misfit": 1.0,
     }
-    return Shared(**values | changed)
+    return shared_state(**values | changed)
 
 
 @pytest.fixture(autouse=True)
