@@ -1,4 +1,4 @@
-"""What the files of a handover state, and what they leave out."""
+"""Statements of the files of a handover, and what they leave out."""
 
 from __future__ import annotations
 

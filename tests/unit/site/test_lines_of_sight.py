@@ -1,4 +1,4 @@
-"""Which points of stated looks count: shares, passing objects, and agreement."""
+"""Points of stated looks that count: shares, passing objects, and agreement."""
 
 from __future__ import annotations
 

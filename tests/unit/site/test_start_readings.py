@@ -1,4 +1,4 @@
-"""What start poses are tested with: readings of them, gates, overlaps and heights."""
+"""Tests of start poses: readings of them, gates, overlaps and heights."""
 
 from __future__ import annotations
 
@@ -255,7 +255,7 @@ def seen(pose: StartPose, points: np.ndarray) -> np.ndarray:
 def findings(
     stated: dict[str, StartPose], true: dict[str, StartPose], **places: Any
 ) -> StartFindings:
-    """Return what is found for scans of a visit each, of 1,600 points each."""
+    """Return the findings for scans of 1,600 points, each of a visit of its own."""
     rng = np.random.default_rng(8)
     clouds = {
         name: seen(pose, bed(rng, 1600, *places.get(name, (0.0, 0.0))))
