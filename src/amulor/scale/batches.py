@@ -78,6 +78,7 @@ def _batches(
                 mass=arrays.get("mass"),
                 edge=arrays.get("edge"),
                 spacing=float(arrays["spacing"]),
+                unseen=float(arrays["unseen"]),
             )
 
 
@@ -104,6 +105,7 @@ def _write(batch: Batch, path: Path) -> None:
         "signal": batch.signal,
         "weight": batch.weight,
         "spacing": np.float64(batch.spacing),
+        "unseen": np.float64(batch.unseen),
     }
     if batch.mass is not None and batch.edge is not None:
         arrays |= {"mass": batch.mass, "edge": batch.edge}
