@@ -159,3 +159,120 @@ def test_the_unit_of_time_does_not_matter(scale: float) -> None:
     # Channels without times have equal intervals.
     even = _smoothed(phase, noise, np.arange(30.0)[None])
     assert_allclose(_smoothed(phase, noise, np.zeros((1, 30))), even, rtol=1e-9)
+
+
+def test_readings_may_come_in_any_order_with_errors_of_their_own() -> None:
+    rng = np.random.default_rng(11)
+    time = np.array([0.0, 1.0, 1.5, 4.0, 7.0])
+    signal = rng.uniform(1, 2, 5) * np.exp(0.1j * rng.standard_normal(5))
+    variance = rng.uniform(1e-4, 4e-3, 5)
+    order = np.array([3, 0, 4, 2, 1])
+    sorted_one, mixed = (
+        PhaseDrift.of(signal[None, None, n], variance=variance[n], time=time[n])
+        for n in (np.arange(5), order)
+    )
+    assert mixed.time.tolist() == [[time.tolist()]]
+    for name in ("phase", "uncertainty", "zero"):
+        assert_allclose(getattr(mixed, name), getattr(sorted_one, name), rtol=1e-12)
+    # The same ratios of noise to signal are the same errors of the phase.
+    louder = PhaseDrift.of(3 * signal[None, None], variance=9 * variance, time=time)
+    assert_allclose(louder.uncertainty, sorted_one.uncertainty, rtol=1e-12)
+    # Errors of the phase are those of the signal over its amplitude.
+    noise = variance / np.abs(signal) ** 2
+    mean = np.angle(signal.sum())
+    phase, square = _smoothed(np.angle(signal) - mean, noise, time)
+    level = (phase.min() + phase.max()) / 2
+    assert_allclose(sorted_one.phase[0, 0], phase - level, atol=1e-12)
+    assert_allclose(sorted_one.uncertainty[0, 0], np.sqrt(square), rtol=1e-12)
+    assert_allclose(sorted_one.zero, mean + level, rtol=1e-12)
+
+
+@pytest.mark.parametrize("gap", [0, np.nan, complex(np.nan, 1)])
+def test_a_reading_of_zero_is_missing(gap: complex) -> None:
+    time = np.arange(5.0)
+    signal = np.exp(1j * np.array([0.1, 0.2, 0.0, 0.2, 0.3]))
+    with_gap = signal.copy()
+    with_gap[2] = gap
+    found = PhaseDrift.of(with_gap[None, None], variance=1e-6, time=time)
+    noise = np.array([1e-6, 1e-6, np.inf, 1e-6, 1e-6])
+    mean = np.angle(np.delete(signal, 2).sum())
+    read = np.array([0.1, 0.2, 0.2, 0.2, 0.3]) - mean
+    phase, square = _smoothed(read, noise, time)
+    assert_allclose(found.phase[0, 0] - found.phase[0, 0, 0], phase - phase[0],
+                    atol=1e-12)  # fmt: skip
+    assert_allclose(found.uncertainty[0, 0], np.sqrt(square), rtol=1e-9)
+
+
+def test_an_unknown_first_phase_has_a_standard_error_of_ten() -> None:
+    # Readings with errors as large as that, of which the first is missing.
+    noise = np.array([np.inf, 40.0, 60.0])
+    phase, time = np.array([0.0, 5.0, -3.0]), np.array([0.0, 1.0, 3.0])
+    elapsed = np.array([0.0, 1.0, 3.0]) / 1.5
+    states, variances, chances = [], [], []
+    for rate in _WALKS / 3 * 50:
+        prior = 100 + rate * np.minimum.outer(elapsed, elapsed)
+        read = prior[1:, 1:] + np.diag(noise[1:])
+        gain = np.linalg.solve(read, prior[1:]).T
+        states.append(gain @ phase[1:])
+        variances.append(np.diag(prior - gain @ prior[1:]) + rate / 6)
+        chances.append(multivariate_normal(np.zeros(2), read).logpdf(phase[1:]))
+    weight = np.exp(np.array(chances) - max(chances))
+    weight /= weight.sum()
+    mean = weight @ np.array(states)
+    variance = weight @ (np.array(variances) + (np.array(states) - mean) ** 2)
+    found = _smoothed(phase, noise, time)
+    assert_allclose(found[0], mean, rtol=1e-9)
+    assert_allclose(found[1], variance, rtol=1e-9)
+
+
+def test_walks_reach_from_less_than_a_reading_to_all_turns() -> None:
+    assert_allclose(_WALKS[[0, -1]], [0.0316228, 1e7], rtol=1e-6)
+    assert _WALKS.size == 25
+    assert_allclose(np.diff(np.log(_WALKS)), np.log(_WALKS[1] / _WALKS[0]))
+
+
+def test_channels_are_corrected_by_their_own_drift() -> None:
+    time = np.broadcast_to([0.0, 2.0, 4.0], (2, 1, 3))
+    phase = np.array([[[-0.1, 0.0, 0.1]], [[0.3, -0.3, 0.1]]])
+    drift = PhaseDrift(
+        time=time, phase=phase, uncertainty=np.zeros((2, 1, 3)), zero=np.zeros((2, 1))
+    )
+    at = np.array([[[1.0, 9.0, np.nan]], [[3.0, -1.0, 2.0]]])
+    signal = np.array([[[2.0, 1j, 3.0]], [[1.0, 1.0, 5.0]]])
+    turn = np.array([[[-0.05, 0.1, 0.0]], [[-0.1, 0.3, -0.3]]])
+    assert_allclose(drift.corrected(signal, at), signal * np.exp(-1j * turn))
+    # One time for all channels.
+    same = drift.corrected(signal, np.full(3, 1.0))
+    turn = np.array([[3 * [-0.05]], [3 * [0.0]]])
+    assert_allclose(same, signal * np.exp(-1j * turn))
+
+
+def test_attributes_have_the_points_of_all_channels() -> None:
+    time = np.array([[[0.0, 1.0, 5.0], [2.0, 3.0, 4.0]]])
+    phase = np.array([[[-0.1, 0.0, 0.1], [0.2, -0.2, 0.0]]])
+    drift = PhaseDrift(
+        time=time, phase=phase, uncertainty=np.ones((1, 2, 3)),
+        zero=np.array([[0.5, -0.5]]),
+    )  # fmt: skip
+    found = drift.attributes(np.array([1e6]))
+    assert list(found) == [
+        "reference_phase_rad", "reference_phase_uncertainty_rad",
+        "instrument_drift_uncertainty_s", "reference_time_s", "reference_drift_rad",
+    ]  # fmt: skip
+    assert found["reference_phase_rad"].tolist() == [0.5, -0.5]
+    assert found["reference_phase_uncertainty_rad"].tolist() == [1.0]
+    # The larger range of the two channels, 0.4 rad.
+    expected = 0.4 / (2e6 * np.pi * 12**0.5)
+    assert_allclose(found["instrument_drift_uncertainty_s"], [expected])
+    assert found["reference_time_s"].tolist() == [0, 1, 5, 2, 3, 4]
+    assert found["reference_drift_rad"].tolist() == [-0.1, 0, 0.1, 0.2, -0.2, 0]
+
+
+def test_of_many_readings_a_hundred_are_in_the_attributes() -> None:
+    time = np.arange(199.0)[None, None]
+    drift = PhaseDrift(
+        time=time, phase=time / 1e3, uncertainty=time, zero=np.zeros((1, 1))
+    )
+    found = drift.attributes(np.array([1e6]))
+    assert found["reference_time_s"].tolist() == list(range(0, 199, 2))
+    assert_allclose(found["reference_drift_rad"], np.arange(0, 199, 2) / 1e3)

@@ -51,3 +51,19 @@ def test_joint_estimation_may_leave_out_any_but_all(count: int, stays: bool) -> 
     samples = _flags(QualityFlag.OUTLIER, count)
     pixel, _ = flags_of_pixels(samples, most_outliers=JOINT_OUTLIERS)
     assert pixel[0, 0] == (QualityFlag.OUTLIER if stays else 0)
+
+
+def test_flags_of_a_pixel_are_those_of_all_its_samples() -> None:
+    samples = np.array([[[1, 0]], [[2, 0]], [[64, 4]]], dtype=np.int16)
+    pixel, left_out = flags_of_pixels(samples)
+    assert pixel.tolist() == [[67, 0]]
+    assert pixel.dtype == np.int16
+    assert left_out.tolist() == [[[False, False]], [[False, False]], [[False, True]]]
+
+
+def test_outliers_and_missing_targets_are_left_out_together() -> None:
+    samples = np.zeros((6, 1, 1), dtype=np.int16)
+    samples[0], samples[1] = QualityFlag.OUTLIER, QualityFlag.NO_TARGET
+    pixel, left_out = flags_of_pixels(samples)
+    assert pixel[0, 0] == 0
+    assert left_out[:, 0, 0].tolist() == [True, True] + 4 * [False]
