@@ -336,8 +336,7 @@ def _side(observation: Observation, slant_range: Floats, noise: Floats) -> int:
     """Return the width of patches, in pixels."""
     rows, columns = (int(size) for size in slant_range.shape)
     side = max(_NARROWEST, math.ceil(math.sqrt(rows * columns / _PATCHES)))
-    steps = [step for step in _steps(observation) if step > 0]
-    step = float(np.sqrt(np.prod(steps))) if steps else 0.0
+    step = math.sqrt(math.prod(_steps(observation)))
     ratio = noise / np.where(slant_range > 0, slant_range, np.nan)
     if step > 0 and np.isfinite(ratio).any():
         # The tilt of `side` pixels across has an error of sqrt(12) noise / side^2.
