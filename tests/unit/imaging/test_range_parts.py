@@ -114,6 +114,7 @@ def test_shared_errors_of_all_frequencies_add_with_their_signs() -> None:
         path = _path(uncertainty=np.full(SHAPE, 0.2))
         result, _ = ranges_of_path(_observation(channel, shared=shared), path)
         assert result.common is not None
+        assert result.common.shape == result.total.shape == SHAPE
         assert_allclose(result.common, SLOPE * np.sqrt(size), rtol=1e-6)
         total = SLOPE * np.sqrt(0.04 - apart + size)
         assert_allclose(result.total, total, rtol=1e-6)
@@ -154,7 +155,7 @@ def test_readings_of_a_vehicle_that_contradict_each_other_have_moved() -> None:
     left_out = np.zeros((2, *SHAPE), dtype=bool)
     left_out[1, 0, 1] = True
     # Of one degree of freedom, 15.137 has the probability of 1e-4.
-    path = _path(strain=np.array([[15.13, 0.0, 15.14, 99.0]]), left_out=left_out)
+    path = _path(strain=np.array([[15.13, 40.0, 15.14, 99.0]]), left_out=left_out)
     result, _ = ranges_of_path(_observation(lag=np.zeros(1)), path)
     moved = (result.flag & QualityFlag.MOVED) != 0
     assert_array_equal(moved, [[False, True, True, False]])
