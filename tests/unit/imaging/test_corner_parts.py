@@ -291,7 +291,7 @@ def test_the_echo_over_that_of_a_white_surface_is_reflectance_and_cosine(
         total = total + echo_over_white(
             observation, walls[0], water, distance, directions=5
         )
-        angle = np.abs(observation.geometry.azimuth) / 1.34
+        angle = np.abs(observation.geometry.azimuth)
         cosines = np.cos(math.pi / 4 - angle)
     hit = np.isfinite(distance)
     assert hit.sum() > 20
@@ -352,10 +352,30 @@ def test_patches_of_a_corner_face_the_instrument_and_cover_the_walls(
     side = np.sign(patches.position[:, 0])
     assert_allclose(patches.normal[:, 0], -side / 2**0.5, atol=0.02)
     assert_allclose(patches.normal[:, 2], -1 / 2**0.5, atol=0.02)
-    # Two walls of 0.3 x 0.3 m, with blocks at the rim that are less than half full.
+    # Nine pixels each, and two walls of 0.3 x 0.3 m with blocks at the rim less full.
+    steps = np.radians(14) / 23 * np.radians(10) / 11
+    full = 9 * steps * np.linalg.norm(patches.position, axis=1) ** 2 / 0.72
+    assert (patches.area / full).max() == pytest.approx(1.0, abs=0.05)
+    assert (patches.area / full).min() > 0.45
     assert 0.5 < patches.area.sum() / 0.18 < 1.1
     # 0.75 is the share of a painted echo in VV, at 47 degrees.
     assert_allclose(patches.brightness, 0.3 * 0.72 * 0.81 / 0.75, rtol=0.1)
+
+
+def test_a_mirrored_scan_has_the_same_patches(
+    walls: tuple[Survey, xr.Dataset],
+) -> None:
+    observation, distance = _observed(walls, "VV")
+    _, patches = _error(observation, distance)
+    mirrored = observe(observation.channel.isel(column=slice(None, None, -1)))
+    _, other = _error(mirrored, distance[:, ::-1])
+    assert patches is not None
+    assert other is not None
+    near = np.linalg.norm(patches.position[:, None] - other.position, axis=-1)
+    order = near.argmin(axis=1)
+    assert near.min(axis=1).max() < 1e-9
+    for name in ("normal", "area", "brightness"):
+        assert_allclose(getattr(patches, name), getattr(other, name)[order], atol=1e-9)
 
 
 def _shift(

@@ -125,7 +125,9 @@ def test_lines_over_one_surface_are_on_its_patches() -> None:
     assert_allclose(patches.noise, 1e-3)
     # The gradient of the height above the patch: upwards, and down the slope.
     x, y = patches.points.place[:, :2].T
-    slope = np.column_stack([-0.05 - 0.02 * y, -0.05 - 0.02 * x + 0.03 * y**2, 1 + 0 * x])
+    slope = np.column_stack(
+        [-0.05 - 0.02 * y, -0.05 - 0.02 * x + 0.03 * y**2, 1 + 0 * x]
+    )
     direction = patches.gradient / np.linalg.norm(patches.gradient, axis=1)[:, None]
     expected = slope / np.linalg.norm(slope, axis=1)[:, None]
     assert_allclose(direction, expected, atol=1e-4)
