@@ -81,7 +81,7 @@ class Problem:
         off = float(np.linalg.norm((beam.centre + way * beam.axis)[:2]))
         angle = math.acos(min(1.0, -float(beam.axis[2])))
         wide = 3.0 if face.gaussian else 1.0
-        spread = math.tan(min(3 * beam.divergence, 1.5))
+        spread = math.tan(3 * beam.divergence)
         within = wide * face.radius + 3 * beam.radius + way * spread
         if off <= within and angle <= wide * face.acceptance + 3 * beam.divergence:
             raise ValueError(

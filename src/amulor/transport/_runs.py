@@ -344,7 +344,7 @@ def conduct(
     started = time.monotonic()
     done = Accumulator.start(frame, resume)
     size = frame.batch_size
-    goal = max(1, math.ceil(limits.histories / size))
+    goal = math.ceil(limits.histories / size)
     local = partial(_in_order, workers=limits.threads or os.cpu_count() or 1)
     batches = (limits.spread or local)(batch_of, done.next_batch, goal)
     interrupted = False
@@ -394,8 +394,8 @@ def _in_order(
                 future.cancel()
 
 
-#: Fewest and most nodes of a record.
-_FEWEST_NODES, _MOST_NODES = 512, 16384
+#: Most nodes of a record.
+_MOST_NODES = 16384
 #: Step of the record at the highest frequency [rad], and in attenuation lengths.
 _STEP = 0.05
 
@@ -436,7 +436,7 @@ class Record:
         steepest = max(float(np.abs(wavenumber).max()), float(attenuation.max()))
         spacing = _STEP / steepest
         node_count = 30 / float(attenuation[attenuation > 0].min()) / spacing
-        nodes = int(min(max(node_count, _FEWEST_NODES), _MOST_NODES))
+        nodes = int(min(node_count, _MOST_NODES))
         rows, components = len(frame.parts) + 2 * scores, frame.batches.shape[2]
         return cls(
             mass=np.zeros((rows, components, nodes)),
