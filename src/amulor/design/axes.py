@@ -13,9 +13,21 @@ from numpy.typing import NDArray
 from amulor.design import _kernels as kernel
 from amulor.errors import SurveyError
 
-__all__ = ["AXES", "PREDICTED", "Arranged", "Axis", "Method", "Predicted", "arranged"]
+__all__ = [
+    "AXES",
+    "LOCK_IN_SHARE",
+    "PREDICTED",
+    "Arranged",
+    "Axis",
+    "Method",
+    "Predicted",
+    "arranged",
+]
 
 Floats = NDArray[np.float64]
+
+#: Share of the dwell that the lock-in's time constant may have [1].
+LOCK_IN_SHARE = 0.1
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from amulor.design import geometry
-from amulor.design.axes import PREDICTED
+from amulor.design.axes import LOCK_IN_SHARE, PREDICTED
 from amulor.design.goal import Box, FractionSpread, Goal, Laser, Spread
 from amulor.design.vehicle import Lines, Readings
 from amulor.errors import SurveyError
@@ -55,8 +55,6 @@ __all__ = [
 ]
 
 
-#: Share of the dwell that the lock-in's time constant may have [1].
-_LOCK_IN = 0.1
 #: Rows of a survey, at most.
 _MOST_ROWS = 20_000
 
@@ -289,7 +287,7 @@ def survey_of(goal: Goal, chosen: Parameters) -> Survey:
         detector = detector.model_copy(
             update={"quantum_efficiency": laser.quantum_efficiency}
         )
-    constant = min(goal.lock_in.time_constant, _LOCK_IN * chosen.dwell)
+    constant = min(goal.lock_in.time_constant, LOCK_IN_SHARE * chosen.dwell)
     water = laser.water or goal.waters.base
     changes: dict[str, Any] = {}
     if goal.waters.fluctuation is not None:

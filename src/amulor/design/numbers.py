@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from amulor.cube.readings import LEAST_RATE
 from amulor.design import _kernels as kernel
 from amulor.design._kernels import assess
-from amulor.design.axes import PREDICTED
+from amulor.design.axes import LOCK_IN_SHARE, PREDICTED
 from amulor.design.light import Case, Lit, lit, values_on_axes
 from amulor.errors import SurveyError
 from amulor.optics import detection
@@ -30,8 +30,6 @@ Floats = NDArray[np.float64]
 _SURFACE, _ROW = 6, 3
 #: Mean square angle of scattering up to which small angles describe it [rad^2].
 MOST_BENT = 0.5
-#: Share of the dwell that the lock-in's time constant may have [1].
-_LOCK_IN = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +166,9 @@ def _numbers(case: Case, by_axis: dict[str, Floats], lighting: Lit) -> dict[str,
     """Parameters of each point for the compiled loops, by column name."""
     survey = case.survey
     instrument, detector = survey.instrument, survey.instrument.detector
-    constant = np.minimum(instrument.lock_in.time_constant, _LOCK_IN * by_axis["dwell"])
+    constant = np.minimum(
+        instrument.lock_in.time_constant, LOCK_IN_SHARE * by_axis["dwell"]
+    )
     time = detection.settled_integration_time(by_axis["dwell"], time_constant=constant)
     passed = np.array(
         [float(position.view.transmission) for position in lighting.places]
