@@ -105,4 +105,8 @@ html_theme_options = {
     "pygments_light_style": "friendly",
 }
 html_show_sourcelink = False
+# Menus take much of the time of a build. One that only looks for faults needs none.
+html_sidebars: dict[str, list[str]] = {}
+if "bare" in tags:  # type: ignore[name-defined]  # noqa: F821
+    html_sidebars["**"] = []
 html_context = {"default_mode": "auto"}

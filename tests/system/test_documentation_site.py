@@ -96,7 +96,8 @@ def test_the_site_builds_without_a_warning_or_a_broken_link(tmp_path: Path) -> N
     done = subprocess.run(
         [
             sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-E",
-            "-D", "plot_gallery=0", "-d", tmp_path / "doctrees", DOCS, built,
+            "-t", "bare", "-D", "plot_gallery=0", "-d", tmp_path / "doctrees",
+            DOCS, built,
         ],
         capture_output=True, text=True, check=False,
     )  # fmt: skip

@@ -100,8 +100,15 @@ def test_another_reading_of_the_start_poses_is_named(
     (line,) = start_findings(wrong, clouds(drawn)).mistakes
     assert line.startswith(who)
     assert words in line
+
+
+def test_a_site_in_another_convention_is_not_registered(drawn: DrawnSite) -> None:
+    visit, to, who, _ = WRONG[0]
     with pytest.raises(CubeError, match=who):
-        register(wrong, surfaces=drawn.surfaces, images=drawn.images)
+        register(
+            changed(drawn.site, visit, to),
+            surfaces=drawn.surfaces, images=drawn.images,
+        )  # fmt: skip
 
 
 def test_of_two_equally_certain_visits_the_later_is_named(drawn: DrawnSite) -> None:
