@@ -88,3 +88,35 @@ def test_nothing_is_the_sum_of_nothing() -> None:
     series = BoxSeries(LOW, HIGH, (2, 2, 2))
     series.fill(np.zeros((4, 8), dtype=complex))
     assert_array_equal(series.at(_inside(3)), np.zeros((4, 3)))
+
+
+def test_coefficients_of_a_billionth_of_the_largest_are_omitted() -> None:
+    low, high = np.array([-1.0]), np.array([1.0])
+    nodes = BoxSeries(low, high, (4,)).places()[0]
+    # In orders 1 and 3 as parts of the constant; the smaller one goes first.
+    for first, third, expected in (
+        (0.9e-9, 0, [0]), (1.1e-9, 0, [0, 1]), (0.6e-9, 0.7e-9, [0, 3]),
+        (0.4e-9, 0.5e-9, [0]), (0.7e-9, 0.6e-9, [0, 1]), (0.9e-9, 2.0, [0, 3]),
+    ):  # fmt: skip
+        series = BoxSeries(low, high, (4,))
+        cubic = 4 * nodes**3 - 3 * nodes
+        series.fill((1 + first * nodes + third * cubic)[None].astype(complex))
+        assert series._orders[:, 0].tolist() == expected
+
+
+def test_a_coefficient_that_one_function_needs_is_kept_for_all() -> None:
+    low, high = np.array([2.0]), np.array([6.0])
+    series = BoxSeries(low, high, (3,))
+    places = series.places()[0]
+    series.fill(np.stack([1e3 + 0 * places, 1j * (places - 4)]).astype(complex))
+    assert series._orders[:, 0].tolist() == [0, 1]
+    found = series.at(np.array([[2.0, 4.0, 5.0, 6.0]]))
+    assert_allclose(found, [[1e3] * 4, [-2j, 0, 1j, 2j]], atol=1e-9)
+
+
+def test_nodes_are_those_of_chebyshev_polynomials() -> None:
+    series = BoxSeries(np.array([0.0, 5.0]), np.array([2.0, 5.0]), (2, 3))
+    # Zeros of the second polynomial are 1 / sqrt(2) from the middle.
+    root = 0.5**0.5
+    assert_allclose(series.places(), [[1 + root, 1 - root], [5, 5]])
+    assert series.size == 2
