@@ -116,7 +116,7 @@ def ellipses(site: Site, registration: Registration) -> Figure:
     pad = 0.12 * extent
     low, high = at.min(axis=0) - pad, at.max(axis=0) + pad
     wide, *spans = high - low
-    figure = new_figure(7.0, float(np.clip(6.2 * sum(spans) / wide + 1.3, 3.0, 11.0)))
+    figure = new_figure(7.0, min(6.2 * float(sum(spans) / wide) + 1.3, 11.0))
     panels = figure.subplots(2, 1, height_ratios=spans)
     names = []
     for axes, height, label, title in zip(
