@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -218,8 +217,8 @@ def contour_interval(raster: products.Raster, *, levels: int = _LEVELS) -> float
     """Return a rounded contour interval for a number of levels, above noise [m]."""
     finite = raster.height[np.isfinite(raster.height)]
     low, high = np.percentile(finite, [_STRAY, 100 - _STRAY])
-    sigma = float(np.nanmedian(raster.own))
-    least = 4 * sigma if math.isfinite(sigma) else 0.0
+    noise = raster.own[np.isfinite(raster.own)]
+    least = 4 * float(np.median(noise)) if noise.size else 0.0
     return formats.rounded_up(max((high - low) / levels, least, 1e-4))
 
 
