@@ -6,25 +6,12 @@ Each result has a value of its own in every field, so that no line can show anot
 from __future__ import annotations
 
 import math
-import re
 from types import SimpleNamespace
 
 import pytest
 
 from amulor import io, rejection
 from amulor.cli import calibrate, design, water
-
-
-@pytest.fixture
-def printed(capsys: pytest.CaptureFixture[str]):
-    """Return a function that returns the lines printed so far, without more spaces."""
-
-    def lines() -> list[str]:
-        out = capsys.readouterr().out.splitlines()
-        plain = (re.sub("[│┃┏┳┓┡╇┩└┴┘━─]+", " ", line) for line in out)
-        return [" ".join(line.split()) for line in plain if line.strip()]
-
-    return lines
 
 
 def test_the_fit_of_the_water(printed, monkeypatch, tmp_path) -> None:
