@@ -45,7 +45,7 @@ class Problem:
         """Raise a ValueError for inconsistent medium, source, receiver or target."""
         axis = self.axes[2]
         if not self.medium.unbounded and abs(abs(axis[2]) - 1) > 1e-9:
-            tilt = math.degrees(math.acos(min(1.0, abs(axis[2]))))
+            tilt = math.degrees(math.acos(abs(axis[2])))
             raise ValueError(
                 "in layered or bounded water the receiver must look along the forward "
                 f"axis, across the layers; got a tilt of {tilt:.4g} deg"

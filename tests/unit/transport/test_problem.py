@@ -135,6 +135,7 @@ def test_without_a_target_nothing_reflects():
     surface = DISC_PROBLEM.surface
     assert not surface.has_plane
     assert (surface.reflectance, surface.gloss) == (0, 0)
+    assert (surface.normal.tolist(), surface.height) == ([0, 0, -1], 0)
     assert not surface.mueller.any()
     assert len(surface.mesh.triangle) == 0
     assert problem(target=plate()).surface.slope == 1  # no facets to divide by
