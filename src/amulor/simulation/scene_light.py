@@ -83,7 +83,7 @@ class MovingLight:
         self._columns = scan.columns
         wave = survey.platform.disturbance
         self._step = min(
-            max(motion.planned_duration / scan.rows, scan.dwell),
+            motion.planned_duration / scan.rows,
             _NEXT / max(planned_speed(survey.platform), 1e-6),
             wave.period * _PART,
         )
