@@ -144,28 +144,29 @@ def test_a_vehicle_has_the_directions_of_the_scan_and_no_light_of_its_own(
     assert found.with_target.water is found.open_water.water
 
 
-def test_an_expectation_uses_25_by_25_beams(plate: Survey) -> None:
-    wide = plate.with_(
-        {"scan.columns": 60, "scan.rows": 40, "targets.0.width": 0.05,
-         "targets.0.height": 9.0}
-    )  # fmt: skip
-    found = expectation(wide, model=MODEL)
-    few = expectation(wide.with_({"scan.columns": 25, "scan.rows": 25}), model=MODEL)
-    assert found.hit == few.hit
-    assert_allclose(found.signal_to_noise, few.signal_to_noise)
+def test_an_expectation_uses_25_beams_along_each_side(plate: Survey) -> None:
     # 5 cm at 1.5 m are 33 of 66 mrad: 13 of 25 columns.
-    assert found.hit == pytest.approx(13 / 25)
+    narrow = {"targets.0.width": 0.05, "targets.0.height": 9.0}
+    wide = plate.with_({**narrow, "scan.columns": 60, "scan.rows": 2})
+    found = expectation(wide, model=MODEL)
+    few = expectation(wide.with_({"scan.columns": 25}), model=MODEL)
+    assert_allclose(found.signal_to_noise, few.signal_to_noise)
+    assert found.hit == few.hit == pytest.approx(13 / 25)
     assert found.hit_each == (found.hit,)
     assert found.saturated == 0
-    two = wide.with_(
-        {"targets": [*(t.model_dump() for t in wide.targets),
-                     {"kind": "plate", "position": (0.0, 0.0, 2.0), "width": 9.0,
-                      "height": 9.0, "reflectance": 0.1}]}
-    )  # fmt: skip
-    both = expectation(two, model=MODEL)
+    # 2 cm at 1.5 m are 13.3 mrad, twelve steps of 1.11 mrad: 11 of 25 rows.
+    low = {"targets.0.width": 9.0, "targets.0.height": 0.02}
+    tall = plate.with_({**low, "scan.columns": 2, "scan.rows": 60})
+    assert expectation(tall, model=MODEL).hit == pytest.approx(11 / 25)
+    wall = {"kind": "plate", "position": (0.0, 0.0, 2.0), "width": 9.0, "height": 9.0,
+            "reflectance": 0.1}  # fmt: skip
+    targets = [*(target.model_dump() for target in wide.targets), wall]
+    both = expectation(wide.with_({"targets": targets}), model=MODEL)
     assert both.hit == 1
     assert both.hit_each == pytest.approx((13 / 25, 12 / 25))
-    none = expectation(plate.with_({"targets": []}), model=MODEL)
+    none = expectation(
+        plate.with_({"targets": [], "scan.columns": 2, "scan.rows": 1}), model=MODEL
+    )
     assert (none.hit, none.hit_each) == (0, ())
     assert np.isnan(none.signal_to_noise).all()
     assert np.isnan(none.water_to_echo).all()
