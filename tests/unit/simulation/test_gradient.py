@@ -91,3 +91,19 @@ def test_scan_and_references_have_the_gradient(plate: Survey) -> None:
         for cube in cubes
     ]
     assert float((echo[1] / echo[0]).max()) < 1
+
+
+def test_the_first_slice_and_the_light_from_beyond_the_last_count_once() -> None:
+    # Ten times more in each meter: 1.25 on the mean of 5 cm.
+    near = complex(column(10.0, np.array([0.05]))[0])
+    uniform = complex(Slab().column(None, end=np.array([0.05]))[0])
+    passed = np.exp(-2 * REDUCED * 10 * 0.025**2 / 2)
+    assert near == pytest.approx(1.25 * passed * uniform, rel=1e-9)
+    # From 30 m on there is as much as there, and as much was lost.
+    change = -0.02
+    beyond = column(change, np.array([40.0])) - column(change, np.array([30.0]))
+    light = Slab().column(None, end=np.array([40.0])) - Slab().column(
+        None, end=np.array([30.0])
+    )
+    strength = 0.4 * np.exp(2 * REDUCED * 0.02 * 30.0**2 / 2)
+    assert_allclose(beyond, light * strength, rtol=1e-3)
