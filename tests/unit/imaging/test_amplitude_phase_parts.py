@@ -194,6 +194,13 @@ def test_scatter_beyond_the_stated_errors_widens_the_error() -> None:
     assert scattered.probability > 0.01
 
 
+def test_a_smooth_change_of_the_phase_is_no_scatter() -> None:
+    ramp = 0.05 * np.arange(COLUMNS)
+    changing = _tested(_turned(0.02) + ramp)
+    assert changing is not None
+    assert changing.probability < 1e-6
+
+
 def test_a_real_step_is_an_attribute() -> None:
     real = AmplitudePhase(step=0.02, probability=0.99e-4)
     assert real.is_real

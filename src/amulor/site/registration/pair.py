@@ -88,7 +88,7 @@ class Pair:
 
     @property
     def window(self) -> sparse.csr_matrix:
-        """Negative derivatives of distances with respect to ranges of the target scan.
+        """Derivatives of distances with respect to ranges of the target scan.
 
         The shape is (n, pixels). They need more memory than all other arrays.
         """
