@@ -16,8 +16,8 @@ from scipy.stats import norm
 from amulor.site.change import distances
 from amulor.site.change.distances import (
     Change,
-    _corrected,
     _cores,
+    _corrected,
     _extent,
     _groups,
     _interpolated,
@@ -280,7 +280,7 @@ def test_cells_lie_across_the_axis_nearest_to_the_normal(axis: int) -> None:
 def test_layers_of_a_cell_are_separate_surfaces() -> None:
     # Two floors 41 mm from each other, and a third 39 mm above the second.
     floor = _grid(4) + 0.002
-    above, top = floor + [0.0, 0.0, 0.041], floor + [0.0, 0.0, 0.080]
+    above, top = floor + np.array([0, 0, 0.041]), floor + np.array([0, 0, 0.080])
     place = np.concatenate([floor, above, top])
     core, _, _ = _cores(
         _cloud(place, np.tile([0.0, 0.0, 1.0], (48, 1))), np.arange(48), 0.02, 0.03
@@ -389,7 +389,7 @@ def test_a_patch_needs_twelve_points(count: int, good: bool) -> None:
     found = _patches(owner, off[:, 2], off, axis, np.full(count, 1e6), 0.05)
     assert bool(found.good[0]) is good
     # Points to one side do not tell the height in the middle.
-    aside = off + [0.2, 0.0, 0.0]
+    aside = off + np.array([0.2, 0.0, 0.0])
     far = _patches(owner, off[:, 2], aside, axis, np.full(count, 1e6), 0.05)
     assert not far.good[0]
 
