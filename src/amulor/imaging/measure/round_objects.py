@@ -327,7 +327,8 @@ def _levels(height: Floats) -> NDArray[np.intp]:
     """Level number of each height; all levels have equally many pixels."""
     count = int(np.clip(len(height) // 20, 3, 40))
     edges = np.quantile(height, np.linspace(0, 1, count + 1)[1:-1])
-    return np.searchsorted(edges, height)
+    # Equal heights may leave a level without a pixel.
+    return np.unique(np.searchsorted(edges, height), return_inverse=True)[1]
 
 
 def _level_means(values: Floats, height: Floats) -> Floats:
