@@ -213,6 +213,35 @@ def test_points_off_a_plane_do_not_move_it() -> None:
         centres._plane(surface, MIDDLE, 0.004, _sphere())
 
 
+def test_a_plane_keeps_points_within_four_standard_errors() -> None:
+    rng = np.random.default_rng(8)
+    noise = OWN * rng.standard_normal((ROWS, COLUMNS)).clip(-3, 3)
+    row, column = _pixel(MIDDLE)
+    noise[row + 1, column], noise[row, column + 2] = 3.7 * OWN, 4.6 * OWN
+    surface, _ = _surface(_tilted() + noise)
+    on, plane, covariance = centres._plane(surface, MIDDLE, 0.04, _sphere())
+    near = np.linalg.norm(surface.position - MIDDLE, axis=-1) < 0.04
+    left_out = np.argwhere(near & ~on).tolist()
+    assert left_out == [[row, column + 2]]
+    off = plane - PLANE
+    # Three degrees of freedom.
+    assert off @ np.linalg.solve(covariance, off) < 16
+
+
+def test_noise_of_the_picked_pixel_does_not_move_a_target() -> None:
+    place = _pixel(MIDDLE)
+    ranges = _tilted()
+    ranges[place] -= 3 * OWN
+    moved, _ = _found(_board(0.1), ranges, place, bright=_fields(0.3))
+    plain, _ = _found(_board(0.1), _tilted(), place, bright=_fields(0.3))
+    assert_allclose(moved.position, plain.position, atol=2e-5)
+    scene = _disc_scene(0.05)
+    first, _ = _found(_disc(0.1), scene, place)
+    scene[place] -= 2 * OWN
+    second, _ = _found(_disc(0.1), scene, place)
+    assert_allclose(first.position, second.position, atol=2e-6)
+
+
 def _disc_scene(radius: float, *, behind: float = 0.3) -> np.ndarray:
     """Ranges of a disc on the tilted plane, before a wall."""
     plane = _tilted()
