@@ -331,9 +331,13 @@ def test_points_beside_the_smooth_pixels_are_outside(
     )
     smooth = np.ones((ROWS, COLUMNS), dtype=bool)
     whole = replace(scans["b"], smooth=smooth)
-    found = on_grid(whole, edge[None], np.array([(ROWS - 1) * COLUMNS + 13]))
-    assert found.pixel[0] == (ROWS - 1) * COLUMNS + 13
+    last = np.array([(ROWS - 1) * COLUMNS + 13])
+    found = on_grid(whole, edge[None], last)
+    assert found.pixel[0] == last[0]
     assert not found.inside[0]
+    for share, inside in ((0.58, True), (0.62, False)):
+        near = whole.position[-1, 13] + share * (edge - whole.position[-1, 13]) / 3
+        assert on_grid(whole, near[None], last).inside[0] == inside
 
 
 def test_offsets_solve_for_beams_that_are_no_right_angle() -> None:
