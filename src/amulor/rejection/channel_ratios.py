@@ -19,6 +19,8 @@ Complex = NDArray[np.complex128]
 MOST_PIXELS = 800
 #: Candidates of the ratio of the water [1].
 _CANDIDATES = np.arange(0.0, 0.96, 0.02)
+#: Candidates nearer to the ratio of the target cancel its echo, and are left out [1].
+_CANCELED = 0.005
 #: Step of the search of a path, in radians of the highest frequency.
 _STEP = 0.4
 #: Steps of the fit of ratios, and of the fit of amplitude and path of a pixel.
@@ -220,6 +222,7 @@ def fit_ratio(
     gain = np.ones(frequency.size, dtype=complex)
     expected = prior.water
     if expected is None:
+        candidates = _CANDIDATES[np.abs(_CANDIDATES - target.real) > _CANCELED]
         chances = [
             float(
                 np.sum(
@@ -227,10 +230,10 @@ def fit_ratio(
                     + np.log(pair.difference(ratio)[1]).sum(axis=1)
                 )
             )
-            for ratio in _CANDIDATES
+            for ratio in candidates
         ]
         expected = np.full(
-            frequency.size, _CANDIDATES[int(np.argmin(chances))], dtype=complex
+            frequency.size, candidates[int(np.argmin(chances))], dtype=complex
         )
     expected = np.asarray(expected, dtype=complex)
     middle = np.concatenate(

@@ -289,23 +289,28 @@ def _separated(
             spread=ratio_spread,
             gain=model_error,
         )
+        of_target = _target_ratio(
+            first,
+            second,
+            target_ratio,
+            target_ratio_uncertainty,
+            prior.fluctuation,
+            empty,
+        )
+        if prior.water is not None:
+            _check_contrast(of_target.real, prior.water, 0.0)
         fit = fit_ratio(
             pair.part(chosen),
             wave,
             scan.frequency,
             path,
             prior,
-            _target_ratio(
-                first,
-                second,
-                target_ratio,
-                target_ratio_uncertainty,
-                prior.fluctuation,
-                empty,
-            ),
+            of_target,
             _patches(chosen, first.signal.shape[2:]),
         )
-        _check_contrast(fit)
+        errors = np.sqrt(np.diag(fit.covariance)[: wave.size])
+        error = math.hypot(fit.target.uncertainty[0], float(errors.min()))
+        _check_contrast(fit.target.real, fit.water, error)
     a, b = first.signal, second.signal
     water = fit.water[:, None, None, None]
     contrast = fit.target.at(scan.frequency)[:, None, None, None] - water
@@ -365,17 +370,13 @@ def _patches(chosen: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.int
     return np.asarray(down * _PATCHES + across)
 
 
-def _check_contrast(fit: RatioFit) -> None:
+def _check_contrast(target: float, water: Complex, error: float) -> None:
     """Raise a CubeError if the ratios of target and water are not different."""
-    count = fit.water.size
-    error = math.hypot(
-        fit.target.uncertainty[0], float(np.sqrt(np.diag(fit.covariance)[:count].min()))
-    )
-    contrast = float(np.abs(fit.target.real - fit.water).min())
+    contrast = float(np.abs(target - water).min())
     if contrast < max(_CONTRAST, 2 * error):
         raise CubeError(
-            f"the depolarization ratios of target, {fit.target.real:.3g}, and water, "
-            f"{abs(fit.water[0]):.3g}, differ by {contrast:.2g} with an uncertainty of "
+            f"the depolarization ratios of target, {target:.3g}, and water, "
+            f"{abs(water[0]):.3g}, differ by {contrast:.2g} with an uncertainty of "
             f"{error:.2g}; polarization cannot separate them: record open water, or "
             "use another method"
         )
