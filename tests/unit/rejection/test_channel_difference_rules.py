@@ -196,7 +196,7 @@ def test_twelve_pixels_are_needed_to_estimate_a_ratio(
     lost = np.arange(9 * 12).reshape(9, 12) >= pixels
     # A pixel counts only with numbers of both channels at all frequencies.
     cube["in_phase"].values[1, 1][lost] = np.nan
-    options = {"target_ratio": 0.3, "target_ratio_uncertainty": 0.02}
+    options: Any = {"target_ratio": 0.3, "target_ratio_uncertainty": 0.02}
     if enough:
         found, fit = _separated(cube, **options)
         assert found.attrs["target_ratio_tested"] == int(fit.target.tested)
@@ -225,7 +225,7 @@ def test_twelve_pixels_are_needed_to_estimate_a_ratio(
     ],
 )
 def test_ratios_outside_of_their_limits_are_refused(
-    spotted: xr.Dataset, options: dict[str, float], words: str
+    spotted: xr.Dataset, options: Any, words: str
 ) -> None:
     with pytest.raises(ValueError, match=f"^{words}$"):
         _separated(spotted, **options)

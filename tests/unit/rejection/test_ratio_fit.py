@@ -159,7 +159,8 @@ def test_noise_beyond_the_stated_enlarges_the_errors_by_its_median() -> None:
 def test_departures_that_a_patch_shares_enlarge_the_errors() -> None:
     target = TargetRatio(real=0.3, uncertainty=(1e-3, 1e-3), tested=True)
     patch = np.arange(320) // 20
-    scores, alone = [], []
+    scores: list[float] = []
+    alone: list[float] = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
         departure = 0.02 * rng.standard_normal(16)[patch, None]
@@ -203,12 +204,12 @@ def test_a_scan_without_any_water_is_refused_in_words(
 
 def test_misfits_are_squares_over_the_errors_of_the_difference() -> None:
     pair, _, _ = pair_of(5, 4)
-    # No echo at all at a gain of zero: the whole difference is left.
     ratio, unsteady = 0.2, np.array([1e-3, 2e-3, 3e-3])
-    found = misfit_of(pair, ratio, WAVE, PATH, 0.3 - ratio + np.zeros(3), unsteady)
+    gain: Any = np.full(3, 0.3 - ratio)
+    found = misfit_of(pair, ratio, WAVE, PATH, gain, unsteady)
     difference = pair.cross - ratio * pair.co
     variance = 4e-6 + 0.04 * (1e-6 + unsteady**2)
-    rest = fitted(difference, np.tile(variance, (4, 1)), WAVE, PATH, np.full(3, 0.1))
+    rest = fitted(difference, np.tile(variance, (4, 1)), WAVE, PATH, gain)
     expected = np.sum(np.abs(difference - rest.model) ** 2 / variance, axis=1)
     assert_allclose(found, expected)
     assert_array_equal(found > 1, True)
