@@ -612,7 +612,7 @@ def _steadier(trials: list[_Trial], best: int, cube: xr.Dataset) -> _Steadier | 
     Methods whose ranges agree have the same common error, whatever they state of it.
     """
     first = trials[best]
-    if not (np.isfinite(first.row.error) and first.own_noise > 0):
+    if not np.isfinite(first.row.error):
         return None
     group_index = float(cube["geometry"].attrs["group_index"])
     least = first.own_noise / (1 + _EQUAL)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.testing import assert_allclose, assert_array_equal
 
 from amulor.errors import CubeError
 from amulor.rejection.covariance import Covariance
-from amulor.rejection.joint import samples
+from amulor.rejection.joint import estimate, samples
 from amulor.rejection.joint.samples import Pixels
+from amulor.rejection.observation import observe_scan
 
 
 def pixels(count: int = 5, *, motion: bool = True) -> Pixels:
@@ -230,3 +233,13 @@ def test_shots_are_taken_evenly_up_to_1024(
     )  # fmt: skip
     with pytest.raises(CubeError, match="must be above 0 V"):
         samples.shot_pixels(frame, shots, directions)
+
+
+def test_a_scan_with_an_error_of_zero_is_refused(
+    by_hand: Callable[..., xr.Dataset],
+) -> None:
+    cube = by_hand(frequency=[20e6, 50e6], channels={"VV": (1.0, 1.0)}, shape=(3, 4))
+    estimate._extent_of(observe_scan(cube))
+    cube["quadrature_uncertainty"].values[1, 0, 2, 3] = 0.0
+    with pytest.raises(CubeError, match="must be above 0 V in every sample"):
+        estimate._extent_of(observe_scan(cube))
