@@ -381,9 +381,12 @@ def matched_filter(
         turn = float(np.linalg.norm(np.diff(pair, axis=1))) / (0.2 * search.width)
         spread = min(1 / (top * turn), search.width)
         half = _REACH * spread + search.width / _OVERSAMPLING
-        fine = search.place[best[k]] + np.linspace(-half, half, _PLACES)
-        unit, size = normalized(fine)
-        score = unit.T @ data[:, k]
+        fine, score = _finely(
+            lambda delay, k=k: normalized(delay)[0].T @ data[:, k],
+            search.place[best[k]],
+            half,
+            spread,
+        )
         place, error = _mean(fine, score)
         unit, size = normalized(np.array([place]))
         ahead, _ = normalized(np.array([place + 0.1 * search.width]))
@@ -402,7 +405,11 @@ def matched_filter(
         result["amplitude"][k] = (unit[:, 0] @ data[:, k]) / size[0]
         result["amplitude_uncertainty"][k] = 1 / size[0]
         result["elsewhere"][k] = _elsewhere(
-            search.place, np.maximum(scores[:, k], 0), place, half
+            search.place,
+            np.maximum(scores[:, k], 0),
+            place,
+            half,
+            period=wave.size if periodic else np.inf,
         )
     return Arrivals(**{name: part.reshape(shape) for name, part in result.items()})
 
@@ -442,6 +449,19 @@ def _fixed(search: _Search, water: ArrayLike | None, count: int) -> Floats:
     return np.linalg.qr(np.array(columns).T)[0]
 
 
+def _finely(
+    score_at: Callable[[Floats], Floats], middle: float, half: float, spread: float
+) -> tuple[Floats, Floats]:
+    """Return delays about the best one, at most a spread apart, and their scores."""
+    while True:
+        offset, step = np.linspace(-half, half, _PLACES, retstep=True)
+        fine = middle + offset
+        score = score_at(fine)
+        if not step > spread:
+            return fine, score
+        middle, half = fine[score.argmax()], max(_REACH * spread, 2 * step)
+
+
 def _mean(place: Floats, score: Floats) -> tuple[float, float]:
     """Return mean and standard deviation over the likelihood of scores."""
     half = 0.5 * np.maximum(score, 0.0) ** 2
@@ -451,11 +471,15 @@ def _mean(place: Floats, score: Floats) -> tuple[float, float]:
     return middle, float(np.sqrt(weight @ (place - middle) ** 2))
 
 
-def _elsewhere(place: Floats, score: Floats, middle: float, half: float) -> float:
+def _elsewhere(
+    place: Floats, score: Floats, middle: float, half: float, *, period: float
+) -> float:
     """Return the part of the likelihood outside of the main peak."""
     power = 0.5 * score**2
     weight = np.exp(power - power.max())
-    return float(weight[np.abs(place - middle) > half].sum() / weight.sum())
+    distance = np.abs(place - middle)
+    distance = np.minimum(distance, period - distance)
+    return float(weight[distance > half].sum() / weight.sum())
 
 
 def photon_arrivals(
@@ -553,9 +577,7 @@ def photon_arrivals(
         raise ValueError(
             f"exposure must have the shape of counts, {number.shape}, got {ready.shape}"
         )
-    search = _search(
-        wave / wave.sum(), gate=_ends(gate, step), photons=True, periodic=False
-    )
+    search = _search(wave, gate=_ends(gate, step), photons=True, periodic=False)
     inside = search.inside
     background = [np.ones(int(inside.sum()))]
     if water is not None:
@@ -716,12 +738,18 @@ class _Photons:
     ) -> tuple[float, float, float]:
         """Return place and error from the photons of the pixel itself."""
         width = self.search.width
-        count = max(part * float(own.sum()), 1.0)
+        narrow = width / np.sqrt(max(part * float(own.sum()), 1.0))
         half = _WINDOW * width
         if alone:
-            half = min(half, _REACH * width / np.sqrt(count) + width / _OVERSAMPLING)
-        fine = start + np.linspace(-half, half, _PLACES)
-        power = self._power(own, ready, null, part, self.search.echo_at(fine))
+            half = min(half, _REACH * narrow + width / _OVERSAMPLING)
+        fine, power = _finely(
+            lambda delay: self._power(
+                own, ready, null, part, self.search.echo_at(delay)
+            ),
+            start,
+            half,
+            narrow,
+        )
         coarse = self._power(own, ready, null, part, None)
         highest = max(power.max(), coarse.max())
         main = np.exp(power - highest).sum() * (fine[1] - fine[0])
