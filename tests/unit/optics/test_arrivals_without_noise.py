@@ -97,7 +97,9 @@ def test_two_equal_pulses_are_each_the_echo_with_the_probability_of_a_half() -> 
     found = matched_filter(record, noise=0.3, **options)
     assert_allclose(found.elsewhere, 0.5, atol=0.02)
     # Of unequal ones the weights are those of their likelihoods, over their widths.
-    unequal = matched_filter(pulse(80.0) + 0.9 * pulse(80 + 64 * SEARCH), noise=0.35, **options)
+    unequal = matched_filter(
+        pulse(80.0) + 0.9 * pulse(80 + 64 * SEARCH), noise=0.35, **options
+    )
     large, small = (score_of(size * pulse(80.0), 0.35) for size in (1.0, 0.9))
     ratio = np.exp((small**2 - large**2) / 2) * large / small
     assert_allclose(unequal.elsewhere, ratio / (1 + ratio), rtol=0.1)

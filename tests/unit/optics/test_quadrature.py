@@ -23,7 +23,9 @@ def panel_of(function, half: float, centre: float) -> Panel:
 def added(panel: Panel, phases: np.ndarray, *, start: complex = 0j) -> np.ndarray:
     """Return sums of a panel, over phases per depth."""
     work, turn = np.full((2, ORDER), np.nan), np.full((2, phases.size), np.nan)
-    sums = np.array([np.full(phases.size, start.real), np.full(phases.size, start.imag)])
+    sums = np.array(
+        [np.full(phases.size, start.real), np.full(phases.size, start.imag)]
+    )
     quadrature.add_panel.py_func(panel, phases, RULE, work, turn, sums)
     return sums[0] + 1j * sums[1]
 
@@ -137,7 +139,9 @@ def test_polynomials_of_a_cell_have_ten_terms() -> None:
 def test_tables_of_bessel_functions_reach_to_26_in_cells_of_one() -> None:
     nodes = quadrature.bessel_nodes()
     assert nodes.shape == (26, 10)
-    assert np.all((nodes > np.arange(26)[:, None]) & (nodes < np.arange(1, 27)[:, None]))
+    assert np.all(
+        (nodes > np.arange(26)[:, None]) & (nodes < np.arange(1, 27)[:, None])
+    )
     ends = np.arange(26)[:, None] + (1 + np.cos(np.pi / 20) * np.array([1, -1])) / 2
     assert_allclose(nodes[:, [0, -1]], ends, rtol=1e-14)
     for x in (0.0, 0.4, 1.0, 25.9, 26.0, 26.1, 31.0, 400.0):
