@@ -124,7 +124,9 @@ def test_integral_begins_at_zero_in_proportion() -> None:
     x = 2.0 ** (np.arange(-70, 15) / 7)
     integrand = np.stack([x, x**3 * 1j], axis=1)
     found = delayed._integral(x, integrand)
-    assert_allclose(found, np.stack([x**2 / 2, 1j * x**4 / 4], axis=1), rtol=1e-3, atol=1e-12)
+    assert_allclose(
+        found, np.stack([x**2 / 2, 1j * x**4 / 4], axis=1), rtol=1e-3, atol=1e-12
+    )
 
 
 def test_steps_of_a_grid_are_seven_an_octave() -> None:
@@ -143,9 +145,7 @@ def test_directions_of_a_start_are_integrated_with_their_longer_way() -> None:
     theta = np.linspace(-2, 2, 4001)
     light = np.exp(-((theta / 0.2) ** 2) + rate * 1.5 * theta**2 / 2)
     across = simpson(light, x=theta)
-    along = [
-        simpson(light * np.cos(k * 1.5 * theta), x=theta) for k in (0.0, 3.0, 9.0)
-    ]
+    along = [simpson(light * np.cos(k * 1.5 * theta), x=theta) for k in (0.0, 3.0, 9.0)]
     expected = across * np.array(along) / (np.pi * 0.2**2)
     assert_allclose(np.exp(found[0]), expected, rtol=1e-8)
 

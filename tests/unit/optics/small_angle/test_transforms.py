@@ -128,6 +128,63 @@ def test_water_never_sharpens(kappa, p, z):
     assert_allclose(layer(-kappa, -p, z), layer(kappa, p, z), rtol=1e-12)
 
 
+# ----------------------------------------------------------- means over frequencies
+
+
+@pytest.mark.parametrize("split", [2.0, 0.5])
+def test_integral_of_a_transform_is_its_own_at_each_frequency(split):
+    # Panels end at 8 / split, at 128 times that, and at half octaves beyond.
+    end = 8 / split
+    frequency = np.array([0.0, 0.3, 0.999, 1.0, 1.7, 64.5, 127.9, 128.0]) * end
+    found = transforms._integral(lambda u: np.cos(u * split), frequency, split=split)
+    assert_allclose(found, np.sin(frequency * split) / split, atol=1e-10 / split)
+    frequency = np.array([500.0, 20.0, 128 * np.sqrt(2), 1e4]) * end
+    scale = 300 * end
+    found = transforms._integral(lambda u: np.exp(-u / scale), frequency, split=split)
+    assert_allclose(found, scale * (1 - np.exp(-frequency / scale)), rtol=1e-10)
+
+
+def test_a_transform_is_evaluated_up_to_the_largest_frequency_only():
+    shapes, largest = [], []
+
+    def transform(u):
+        shapes.append(u.shape)
+        largest.append(u.max())
+        return np.ones_like(u)
+
+    for frequency, panels, end in (
+        (0.0, 1, 4), (3.9, 1, 4), (4.1, 2, 8), (512.0, 128, 512), (600.0, 129, 725),
+        (800.0, 130, 1024),
+    ):  # fmt: skip
+        transforms._integral(transform, np.array([frequency]), split=2.0)
+        assert shapes[-1] == (panels, 16)
+        assert 0.99 * end < largest[-1] < end * (1 + 1e-3)
+    transforms._integral(transform, np.zeros(0), split=2.0)
+    assert shapes[-1] == (1, 16)
+
+
+@pytest.mark.parametrize(
+    ("first", "last"),
+    [(0.0, 3.0), (2.0, 5.0), (5.0, 2.0), (-2.0, 5.0), (-3.0, -1.0), (1.0, 1.001)],
+)
+def test_mean_of_a_transform_along_a_way_of_frequencies(first, last):
+    found = transforms._mean_along(
+        np.cos, np.array([first]), np.array([last]), split=1.0
+    )
+    expected = (np.sin(last) - np.sin(first)) / (last - first)
+    assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("first", "width"), [(1.0, 0.0), (1.0, 1e-9), (1e3, 5e-4), (-0.5, 2e-5), (0, 1e-7)]
+)
+def test_mean_of_a_transform_over_a_short_way_is_that_of_its_middle(first, width):
+    found = transforms._mean_along(
+        np.cos, np.array([first]), np.array([first + width]), split=1.0
+    )
+    assert_allclose(found, np.cos(first + width / 2), rtol=1e-14)
+
+
 # ------------------------------------------------------------- beam and receiver
 
 

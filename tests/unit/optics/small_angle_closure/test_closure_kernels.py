@@ -1,15 +1,16 @@
-"""The loops of the closure as compiled and as written."""
+"""The loops of the closure as compiled and as written, and parts around them."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from amulor.optics._quadrature import RULE, bessel
 from amulor.optics.phase_functions.models import henyey_greenstein_function
-from amulor.optics.small_angle._columns import depth_rule, table
+from amulor.optics.small_angle._columns import Column, Table, depth_rule, table
 from amulor.optics.small_angle._kernels import Water
-from amulor.optics.small_angle_closure import _kernels
+from amulor.optics.small_angle_closure import _kernels, response
 
 SPREAD = table(henyey_greenstein_function(asymmetry=0.95), np.pi / 2)
 WATER = Water(
@@ -70,3 +71,58 @@ def test_compiled_and_plain_departures_are_the_same():
     assert_allclose(compiled, plain, rtol=1e-10)
     # Near, and off the axis, the estimate is beyond 1 or there is no light to compare.
     assert np.array_equal(np.isinf(plain[:, 1]), [0, 1, 0, 0, 1, 1])
+
+
+WATER_COLUMN = Column(
+    absorption=0.1, scattering=0.4, baseline=0.2, receiver_radius=0.02,
+    acceptance_angle=0.08, beam_radius=0.03, beam_divergence=0.06, tilt=0.1,
+    cross_tilt=0.0, standoff=0.3, end=9.0,
+)  # fmt: skip
+
+
+def test_views_meet_the_beam_where_their_axes_cross():
+    spread = table(henyey_greenstein_function(asymmetry=0.9), 1.5)
+    water = response._water(WATER_COLUMN, spread)
+    assert_allclose(water.radius_squared, 0.02**2 + 0.03**2)
+    assert_allclose(water.angle_squared, 0.1**2)
+    found = response._meeting(water)
+    # 0.2 m aside at 0.1 rad, seen from 0.3 m before the water.
+    width = np.sqrt(0.0013 + 0.01 * 4) / 0.1
+    assert_allclose([found["nearest"], found["narrow"]], [2 - 0.3, width])
+    turned = response._meeting(water._replace(cross_tilt=0.2))
+    path = 0.2 * 0.1 / 0.05
+    width = np.sqrt((0.0013 + 0.01 * path**2) / 0.05)
+    assert_allclose([turned["nearest"], turned["narrow"]], [path - 0.3, width])
+    straight = response._meeting(water._replace(tilt=0.0))
+    assert straight == {"nearest": -1.0, "narrow": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "end"),
+    [
+        ({}, 9.0),
+        ({"end": 500.0}, 7 / (0.1 + 0.4 * 0.25)),
+        ({"end": 500.0, "absorption": 0.0, "scattering": 0.0}, 275.0),
+        ({"end": 50.0, "absorption": 0.0, "scattering": 0.0, "baseline": 0.0}, 25.0),
+        ({"end": 50.0, "absorption": 0.0, "scattering": 0.0, "baseline": 0.0,
+          "acceptance_angle": 0.5}, 10.0),
+    ],
+)  # fmt: skip
+def test_what_a_column_lacks_is_a_mean_over_its_depths(monkeypatch, change, end):
+    column, depths = WATER_COLUMN._replace(**change), []
+    spread = Table(1.5, 0.75, np.ones((1, 10)))
+    peak = np.pi * (column.receiver_radius * column.acceptance_angle) ** 2
+    light, lacking = 2.0, -0.5
+
+    def lacking_at(depth, *_):
+        depths.append(depth)
+        return np.stack([lacking * depth, 9 + 0 * depth], axis=1)
+
+    monkeypatch.setattr(response, "_light", lambda depth, *_: peak * light * depth)
+    monkeypatch.setattr(response, "_lacking", lacking_at)
+    assert_allclose(response._lacked(column, spread), 0.25, rtol=1e-12)
+    assert_allclose(depths[0], np.geomspace(1e-3 * end, end, 48), rtol=1e-9)
+    light = 0.0
+    assert response._lacked(column, spread) == np.inf
+    lacking = 0.0
+    assert response._lacked(column, spread) == 0
