@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.constants import speed_of_light
 
-from amulor.optics._mixed_beam import mixed_beams
+from amulor.optics._mixed_beam import SpreadFit, mixed_beams
 
 FREQUENCY = np.array([10e6, 35e6, 80e6, 146e6])
 WAVE = 4 * np.pi * FREQUENCY * 1.38 / speed_of_light
@@ -86,3 +86,91 @@ def test_untested_pixels_are_not_mixed() -> None:
     nothing, _, fit = run(signal_of(2.0, 0.1, part)[:1], distance)
     assert fit is None
     assert not nothing.any()
+
+
+def spread_fit(scale: float = 1.0) -> SpreadFit:
+    """Return a fit of two frequencies, whose terms are 2 and -2."""
+    return SpreadFit(
+        terms=np.array([2.0, -2.0]), middle=1.5, typical=(0.1, 0.4), scale=scale
+    )
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+@pytest.mark.parametrize(("share", "expected"), [(0.98, False), (1.02, True)])
+def test_a_mixed_beam_exceeds_five_standard_errors(
+    scale: float, share: float, expected: bool
+) -> None:
+    # Of both terms and errors, with 0.3 % of gain each: sqrt(8) times the error.
+    deviation = np.sqrt(8) * np.hypot(0.04, 3e-3)
+    place = 2.0
+    typical = 0.1 + 0.4 * (place - 1.5)
+    excess = share * 5 * scale * deviation
+    amplitude = np.exp([(typical + excess) / 2, 0.0])[:, None, None]
+    mixed, spread, _ = mixed_beams(
+        amplitude,
+        np.full((2, 1, 1), 0.04),
+        phase_per_range=np.array([1.0, 2.0]),
+        slant_range=np.array([[place]]),
+        uncertainty=np.array([[1e-3]]),
+        fit=spread_fit(scale),
+    )
+    assert mixed.item() is expected
+    assert spread.item() == pytest.approx(np.sqrt(excess))
+
+
+@pytest.mark.parametrize(("uncertainty", "expected"), [(0.49, True), (0.51, False)])
+def test_a_spread_below_two_uncertainties_does_not_matter(
+    uncertainty: float, expected: bool
+) -> None:
+    amplitude = np.exp([(0.1 + 1.0) / 2, 0.0])[:, None, None]
+    mixed, _, _ = mixed_beams(
+        amplitude,
+        np.full((2, 1, 1), 1e-3),
+        phase_per_range=np.array([1.0, 2.0]),
+        slant_range=np.array([[1.5]]),
+        uncertainty=np.array([[uncertainty]]),
+        fit=spread_fit(),
+    )
+    assert mixed.item() is expected
+
+
+def test_the_typical_fall_is_that_of_the_amplitudes() -> None:
+    rng = np.random.default_rng(4)
+    distance = 2.0 + 0.4 * rng.random((6, 5))
+    variance = 2e-3 + 5e-3 * (distance - np.median(distance))
+    amplitude = np.exp(-(WAVE[:, None, None] ** 2) * variance / 2)
+    error = np.broadcast_to(
+        np.array([1e-3, 2e-3, 4e-3, 1e-3])[:, None, None], amplitude.shape
+    )
+    options = {"phase_per_range": WAVE, "uncertainty": np.full((6, 5), 1e-3)}
+    mixed, spread, fit = mixed_beams(amplitude, error, slant_range=distance, **options)
+    assert fit is not None
+    assert fit.middle == np.median(distance)
+    np.testing.assert_allclose(fit.typical, (2e-3, 5e-3), rtol=1e-3)
+    np.testing.assert_allclose(fit.terms.sum(), 0, atol=1e-12)
+    np.testing.assert_allclose(fit.terms @ (-(WAVE**2) / 2), 1, rtol=1e-12)
+    # The weights are those of the errors: noise has the least variance.
+    precision = 1 / (np.array([1e-3, 2e-3, 4e-3, 1e-3]) ** 2 + 3e-3**2)
+    fall = -(WAVE**2) / 2 - np.average(-(WAVE**2) / 2, weights=precision)
+    np.testing.assert_allclose(fit.terms, precision * fall / (precision @ fall**2))
+    assert fit.scale == 1.0
+    assert not mixed.any()
+    np.testing.assert_allclose(spread, 0, atol=1e-3)
+    # One pixel less is too few.
+    distance[0, 0] = np.nan
+    assert mixed_beams(amplitude, error, slant_range=distance, **options)[2] is None
+
+
+def test_scatter_beyond_the_stated_errors_widens_the_limit() -> None:
+    rng = np.random.default_rng(5)
+    noise = 0.05 * rng.standard_normal((4, 40, 40))
+    _, _, fit = mixed_beams(
+        np.exp(noise),
+        np.full(noise.shape, 0.01),
+        phase_per_range=WAVE,
+        slant_range=np.full((40, 40), 2.0),
+        uncertainty=np.full((40, 40), 1e-3),
+    )
+    assert fit is not None
+    # The 0.16 quantile is 0.994 standard deviations below the median.
+    assert fit.scale == pytest.approx(0.994 * 0.05 / np.hypot(0.01, 3e-3), rel=0.15)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -162,3 +164,60 @@ def test_a_facet_that_faces_both_has_the_density_of_level_facets():
     # At normal incidence straight back: 1 / (2 pi s^2) over four, without shadows.
     found = mirror_facets(incidence=0.0, reflection=0.0, azimuth=0.0, rms_slope=0.1)
     assert_allclose(found, 1 / (8 * np.pi * 0.01), rtol=1e-9)
+
+
+def test_light_reflected_twice_in_a_groove_has_the_published_form():
+    # Oren and Nayar 1994: 0.17 rho s / (s + 0.13) (1 - cos phi (2 beta / pi)^2).
+    square = (np.pi / 6) ** 2
+    for azimuth in (0.0, np.pi / 3, np.pi):
+        once, both = (
+            np.pi
+            / albedo
+            * oren_nayar(
+                incidence=np.pi / 3,
+                reflection=np.pi / 6,
+                azimuth=azimuth,
+                roughness=np.pi / 6,
+                reflectance=albedo,
+            )
+            for albedo in (1e-9, 0.8)
+        )
+        groove = 1 - np.cos(azimuth) / 9
+        expected = 0.17 * 0.8 * square / (square + 0.13) * groove
+        assert_allclose(both - once, expected, rtol=1e-6)
+
+
+def test_facets_that_mirror_lie_between_both_directions():
+    incidence, reflection, azimuth, slope = 0.9, 0.5, 2.0, 0.3
+    one = np.array([np.sin(incidence), 0.0, np.cos(incidence)])
+    other = np.sin(reflection) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    other = other + np.array([0.0, 0.0, np.cos(reflection)])
+    facet = (one + other) / np.linalg.norm(one + other)
+    tangent = np.hypot(facet[0], facet[1]) / facet[2]
+    density = np.exp(-(tangent**2) / (2 * slope**2)) / (2 * np.pi * slope**2)
+    density /= facet[2] ** 4
+
+    # Shadows of a Gaussian surface after B. G. Smith, IEEE Trans. Antennas Propag. 15,
+    # 668 (1967).
+    def shadow(angle):
+        a = 1 / (np.sqrt(2) * slope * np.tan(angle))
+        return np.exp(-(a**2)) / (2 * a * np.sqrt(np.pi)) - 0.5 * (1 - math.erf(a))
+
+    # With the azimuth 0 towards the light.
+    expected = density / (4 * one[2] * other[2])
+    expected /= 1 + shadow(incidence) + shadow(reflection)
+    found = mirror_facets(
+        incidence=incidence, reflection=reflection, azimuth=azimuth, rms_slope=slope
+    )
+    assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_grazing_light_keeps_finite_values():
+    options = {"azimuth": 1.0, "reflectance": 0.5, "roughness": 0.4}
+    found = oren_nayar(incidence=np.pi / 2, reflection=np.pi / 2, **options)
+    assert np.isfinite(found)
+    assert found > 0
+    aside = mirror_facets(
+        incidence=np.pi / 2, reflection=0.3, azimuth=0.0, rms_slope=0.2
+    )
+    assert np.isfinite(aside)
