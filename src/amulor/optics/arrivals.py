@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -367,6 +368,9 @@ def matched_filter(
         size = np.linalg.norm(columns, axis=0)
         return columns / np.maximum(size, 1e-300), size
 
+    def scored(own: Floats, delay: Floats) -> Floats:
+        return np.asarray(normalized(delay)[0].T @ own)
+
     columns, _ = normalized(search.place)
     scores = columns.T @ data
     best = scores.argmax(axis=0)
@@ -382,10 +386,7 @@ def matched_filter(
         spread = min(1 / (top * turn), search.width)
         half = _REACH * spread + search.width / _OVERSAMPLING
         fine, score = _finely(
-            lambda delay, k=k: normalized(delay)[0].T @ data[:, k],
-            search.place[best[k]],
-            half,
-            spread,
+            partial(scored, data[:, k]), search.place[best[k]], half, spread
         )
         place, error = _mean(fine, score)
         unit, size = normalized(np.array([place]))

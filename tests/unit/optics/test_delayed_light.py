@@ -275,3 +275,47 @@ def test_delay_of_the_series_is_divided_by_its_excess() -> None:
     assert_allclose(found, [1 + 0.045 * np.sqrt(0.5 * 2 * 0.4), 1.0], rtol=1e-12)
     assert_allclose(lateness.wavenumber, 2 * np.pi * 1e8 * 1.38 / speed_of_light)
     assert_allclose(lateness.loss, 0.0)
+
+
+class Known(late._Lateness):
+    """Echo whose phase is known before it is wrapped."""
+
+    def turns(self, wavenumber, where):
+        whole = np.array(LENGTHS)[where] * wavenumber
+        # The last echo has no sense any more at high wavenumbers.
+        whole = np.where((where == 3) & (wavenumber > 1.5), 2.0, whole)
+        return (whole + np.pi) % (2 * np.pi) - np.pi + 0j
+
+
+#: Lengths per phase of four echoes.
+LENGTHS = [0.5, 4.0, 1.2, 3.5]
+
+
+def test_phases_of_several_turns_are_followed_from_low_frequencies() -> None:
+    wavenumber = np.array([1.0, 1.9, 5.0, 2.0])
+    flat = {"scattering": np.ones(4), "depth": np.ones(4)}
+    echo = Known(
+        phase_function=WATER, split_angle=SPLIT, sharp=False, shape=(4,),
+        wavenumber=wavenumber, loss=np.zeros(4), flat=flat,
+    )  # fmt: skip
+    slow = np.array(LENGTHS)
+    found = echo.unwrapped(wavenumber, np.arange(4), slow)
+    # Where the phase is no continuation, it is twice that of half the frequency.
+    assert_allclose(found, [0.5, 7.6, 6.0, 7.0], rtol=1e-12)
+    # Other echoes are not looked at.
+    found = echo.unwrapped(wavenumber[[2, 0]], np.array([2, 0]), slow[[2, 0]])
+    assert_allclose(found, [6.0, 0.5], rtol=1e-12)
+
+
+def test_echoes_at_once_are_what_each_is_alone(monkeypatch) -> None:
+    monkeypatch.setattr(late, "_AT_ONCE", 3)
+    scene = {
+        "scattering": 0.6, "phase_function": WATER, "group_index": 1.38,
+        "baseline": 0.1, "receiver_radius": 0.02, "acceptance_angle": 0.08,
+    }  # fmt: skip
+    depth = 1.0 + 0.2 * np.arange(7)
+    found = late.late_echo([[5e7], [2e8]], depth=depth, **scene)
+    assert found.shape == (2, 7)
+    for row, frequency in enumerate((5e7, 2e8)):
+        alone = late.late_echo(frequency, depth=depth[4], **scene)
+        assert_allclose(found[row, 4], alone, rtol=2e-3)

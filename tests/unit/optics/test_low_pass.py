@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
+from scipy.optimize import curve_fit
 
 from amulor.optics.low_pass import (
     LowPassFit,
@@ -279,3 +280,51 @@ def test_standard_error_of_the_fit_of_power_is_the_scatter_of_repeated_fits():
     stated = np.mean([result.cut_off_standard_error for result in results])
     # 300 fits: a standard deviation is found within 4 %.
     assert_allclose(stated, spread, rtol=0.15)
+
+
+FEW = np.array([1.0, 8.0, 20.0, 45.0, 90.0]) * 1e6
+AMPLITUDE = np.array([1.95, 1.9, 1.42, 0.83, 0.47])
+
+
+def test_fit_and_its_error_are_those_of_a_library_for_five_amplitudes():
+    def form(frequency, corner, scale):
+        return scale / np.sqrt(1 + (frequency / corner) ** 2)
+
+    start = 2e7, 2.0
+    best, covariance = curve_fit(form, FEW, AMPLITUDE, p0=start, xtol=1e-14)
+    found = fit(FEW, AMPLITUDE)
+    assert_allclose([found.cut_off, found.amplitude_at_zero], best, rtol=1e-6)
+    error = np.sqrt(covariance[0, 0])
+    assert_allclose(found.cut_off_standard_error, error, rtol=1e-4)
+
+
+def test_fit_of_power_and_its_error_are_those_of_a_library():
+    def form(frequency, corner):
+        return 1 / (1 + (frequency / corner) ** 2)
+
+    power = (AMPLITUDE / AMPLITUDE.max()) ** 2
+    best, covariance = curve_fit(form, FEW, power, p0=2e7, xtol=1e-14)
+    found = fit_of_power(FEW, AMPLITUDE)
+    assert_allclose(found.cut_off, best[0], rtol=1e-6)
+    error = np.sqrt(covariance[0, 0])
+    assert_allclose(found.cut_off_standard_error, error, rtol=1e-4)
+    assert found.amplitude_at_zero == 1.95
+
+
+@pytest.mark.parametrize(
+    ("corner", "shown"), [(0.8e6, False), (1.1e6, True), (85e6, True), (99e6, False)]
+)
+def test_a_cut_off_is_shown_between_the_frequencies_of_a_sweep(corner, shown):
+    amplitude = 3 / np.sqrt(1 + (FEW / corner) ** 2)
+    found = fit_if_shown(FEW, amplitude)
+    assert (found is not None) == shown
+    if found is not None:
+        assert_allclose(found.cut_off, corner, rtol=1e-6)
+
+
+@pytest.mark.parametrize("corner", [3e3, 2.4e7, 9.9e8])
+def test_cut_off_is_found_from_a_millionth_of_the_maximum_on(corner):
+    def response(frequency):
+        return 5 / (1 - 1j * frequency / corner)
+
+    assert_allclose(cut_off(response), corner, rtol=1e-12)
