@@ -7,6 +7,7 @@ import inspect
 import pkgutil
 import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -284,6 +285,30 @@ def _outcome(function, changes):
             return None, _call(function, **changes)
     except ValueError as error:
         return str(error), None
+
+
+def _ranges():
+    """Return what arguments must be, by argument, or by function and argument."""
+    file = Path(__file__).parents[2] / "reference" / "argument_ranges.txt"
+    lines = file.read_text("utf-8").splitlines()
+    return dict(line.split(": ", 1) for line in lines if not line.startswith("#"))
+
+
+@pytest.mark.parametrize(
+    ("name", "argument"),
+    [case for case in CASES if case[1] not in MEASURED | {"end", "response"}],
+)
+def test_a_refusal_states_the_range_and_unit_of_its_argument(name, argument):
+    ranges = _ranges()
+    rule = ranges.get(f"{name} {argument}", ranges.get(argument))
+    refusal, _ = _outcome(FUNCTIONS[name], {argument: np.inf})
+    assert refusal is not None
+    assert refusal.partition(", got inf")[0] == f"{argument} must be {rule}"
+
+
+def test_each_stated_range_is_that_of_an_argument():
+    known = {f"{name} {argument}" for name, argument in CASES}
+    assert set(_ranges()) <= known | {argument for _, argument in CASES}
 
 
 @pytest.mark.parametrize(
