@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.constants import speed_of_light
 from scipy.integrate import cumulative_simpson, simpson
 from scipy.special import j0, j1
@@ -319,3 +319,25 @@ def test_echoes_at_once_are_what_each_is_alone(monkeypatch) -> None:
     for row, frequency in enumerate((5e7, 2e8)):
         alone = late.late_echo(frequency, depth=depth[4], **scene)
         assert_allclose(found[row, 4], alone, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("formula", "seen", "dark"),
+    [
+        # Beyond aperture, view and two radii of the beam: 0.02 + 0.1 + 0.02 m.
+        (late.sharp_receiver_late_echo, 0.139, 0.141),
+        # Where a Gaussian of 0.1025 m is 1e-9: 4.55 widths.
+        (late.late_echo, 0.44, 0.48),
+    ],
+)
+def test_a_receiver_that_sees_no_light_knows_no_delay(formula, seen, dark) -> None:
+    options = {
+        "depth": 1.5, "standoff": 0.5, "scattering": 0.0, "phase_function": WATER,
+        "group_index": 1.38, "receiver_radius": 0.02, "acceptance_angle": 0.05,
+        "beam_radius": 0.01,
+    }  # fmt: skip
+    found = formula(1e6, baseline=[seen, dark], **options)
+    assert_array_equal(np.isfinite(found), [True, False])
+    # A tilt brings the view back to the spot.
+    turned = formula(1e6, baseline=[seen, dark], tilt=0.1, **options)
+    assert np.all(np.isfinite(turned))
