@@ -157,3 +157,18 @@ def test_water_must_be_constant_in_shape_with_the_constant_beside_it() -> None:
         assert_allclose(fixed @ (fixed.T @ column), column, atol=1e-12)
     alone = arrivals._fixed(search, None, BINS.size)
     assert_allclose(np.abs(alone), 60**-0.5, rtol=1e-12)
+
+
+def test_a_gate_has_at_least_four_samples() -> None:
+    pulse = np.zeros(40)
+    pulse[5:7] = 1.0
+    options = {"photons": False, "periodic": False}
+    search = arrivals._search(pulse, gate=(10.0, 14.0), **options)
+    assert search.inside.sum() == 4
+    assert search.place[0] >= 4
+    assert search.place[-1] <= 8
+    with pytest.raises(ValueError, match=r"^the gate has 3 samples, and"):
+        arrivals._search(pulse, gate=(10.0, 13.0), **options)
+    # Half of the light of the pulse lies within the gate.
+    with pytest.raises(ValueError, match="shorter than the pulse"):
+        arrivals._search(np.ones(40) + pulse, gate=(10.0, 14.0), **options)
