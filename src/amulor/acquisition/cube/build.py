@@ -332,7 +332,7 @@ def shows_no_target(cube: xr.Dataset) -> bool:
     water = shots.amulor.signal.mean("shot", skipna=True)
     error = np.hypot(cube["in_phase_uncertainty"], cube["quadrature_uncertainty"])
     significance = np.abs(cube.amulor.signal - water) / error
-    return bool(np.nanmax(significance, initial=0.0) <= _SIGNIFICANT)
+    return not bool((significance > _SIGNIFICANT).any())
 
 
 def _outputs(
