@@ -1,4 +1,4 @@
-"""Dwells of a lock-in with given readings: waits, windows, means and unsettled parts."""
+"""Dwells of a lock-in with given readings: waits, windows, means, unsettled parts."""
 
 from __future__ import annotations
 
