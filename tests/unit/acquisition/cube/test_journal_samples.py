@@ -158,6 +158,19 @@ def test_the_dark_output_is_the_mean_of_each_channel(two: Survey, folder) -> Non
     assert_allclose(variance, NOISE * 1e6 * np.array([[0, 0], [1 / 2, 1]]))
 
 
+def test_the_dark_output_has_the_noise_of_its_readings(two: Survey, folder) -> None:
+    entries = [
+        (key(DARK, pair=pair, frequency=frequency, repeat=repeat),
+         record(1, mean=8e-12 * 5e6))
+        for pair in ("VV", "VH")
+        for frequency in (20e6, 39e6)
+        for repeat in (0, 1)
+    ]  # fmt: skip
+    with journal_of(folder, two, entries) as journal:
+        _, variance = journal_samples.dark_output(two, journal)
+    assert_allclose(variance, NOISE * 5e6 / 2)
+
+
 def test_without_dark_readings_there_is_no_dark_output(two: Survey, folder) -> None:
     with journal_of(folder / "a", two, []) as journal:
         mean, variance = journal_samples.dark_output(two, journal)
@@ -269,6 +282,8 @@ def test_what_a_journal_does_not_say_is_named(small: Survey, folder) -> None:
     for name, text, problem in (
         ("e", "[procedure", "Expected ']' at the end of a table declaration"),
         ("f", "[procedure]\nsettling = -1", "1 validation error for Procedure"),
+        # In a file each quantity has its unit.
+        ("g", "[procedure]\nposition_tolerance = 1", "1 validation error for Proc"),
     ):
         with journal_of(folder / name, small, [], devices=text) as journal:
             with pytest.raises(FormatError) as caught:
