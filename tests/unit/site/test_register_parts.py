@@ -130,6 +130,7 @@ def test_control_points_and_bars_are_contradicted_by_their_residuals() -> None:
     for line in found:
         assert (line.scan, line.shift, line.stated_shift) == ("", 0.03, 0.004)
         assert line.score == pytest.approx((1.001 * limit) ** 2)
+        assert (line.turn, line.stated_turn) == (0.0, 0.0)
 
 
 def test_patterns_and_scans_that_fit_no_other_are_contradictions() -> None:
@@ -153,6 +154,9 @@ def test_patterns_and_scans_that_fit_no_other_are_contradictions() -> None:
     assert (pattern.scan, pattern.error) == ("b", "rows")
     assert (pattern.shift, pattern.stated_shift) == (-0.02, 0.004)
     assert pattern.score == 81.0
+    for line in (pattern, surface):
+        assert (line.turn, line.stated_turn) == (0.0, 0.0)
+    assert (surface.shift, surface.stated_shift) == (0.0, 0.0)
     assert pattern.alike == ("angle",)
     # Of the same visit; the later scan of the pair.
     assert (surface.scan, surface.error) == ("b", "surface")
@@ -191,6 +195,7 @@ def test_the_scan_of_most_pairs_that_look_through_each_other_is_named() -> None:
     assert (first.shift, first.stated_shift, first.share) == (0.08, 0.01, 0.3)
     assert first.score == pytest.approx(64.0)
     assert first.error == "sight"
+    assert {(line.turn, line.stated_turn) for line in found} == {(0.0, 0.0)}
     # Of two alike, the one farther from its start pose.
     assert second.peers == ("d",)
     assert second.share == 0.2
@@ -255,6 +260,7 @@ def test_points_absent_from_a_scan_contradict_it_without_common_relief(
         assert (line.scan, line.error, line.peers) == ("a", "absent", ("b", "c"))
         assert (line.shift, line.stated_shift, line.share) == (0.06, 0.02, share)
         assert line.score == pytest.approx(9.0)
+        assert (line.turn, line.stated_turn) == (0.0, 0.0)
 
 
 def test_the_relief_of_a_scan_is_the_largest_of_its_pairs() -> None:
@@ -305,6 +311,7 @@ def test_groups_at_another_height_have_another_datum(
         assert line.shift == pytest.approx(height, abs=0.02)
         assert line.stated_shift == pytest.approx(math.hypot(sigma, sigma), abs=1e-6)
         assert line.share > 0.9
+        assert (line.turn, line.stated_turn) == (0.0, 0.0)
         score = line.shift / max(math.hypot(sigma, sigma), 0.02)
         assert line.score == pytest.approx(score**2)
 
