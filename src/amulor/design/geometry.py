@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from amulor.errors import SurveyError
 from amulor.optics import rays
 from amulor.survey import Survey
 from amulor.survey.view import View, medium_of, view
@@ -41,7 +42,7 @@ class Place:
 
 
 def place_of(survey: Survey, distance: Floats) -> Place:
-    """Return the geometry of a survey's instrument at several slant ranges."""
+    """Return the geometry at increasing slant ranges; SurveyError before the water."""
     crossed = medium_of(survey)
     azimuth, elevation = np.array(survey.scan.azimuth), np.array(survey.scan.elevation)
     instrument = survey.instrument
@@ -49,17 +50,24 @@ def place_of(survey: Survey, distance: Floats) -> Place:
     beam = rays.enter_water(
         instrument.emitter.position, rays.direction(azimuth, elevation), medium=crossed
     )
+    before = float(beam.length_before)
+    depth = distance - before
+    if depth[0] <= 0:
+        raise SurveyError(
+            f"distance: {distance[0]:g} m lies before the water, which begins at "
+            f"{before:g} m"
+        )
     receiver = np.asarray(instrument.receiver.position)
     path, further = (
         rays.optical_path(distance + step, beam, receiver, medium=crossed)
         for step in (0.0, _STEP)
     )
-    point = beam.entry + (distance - beam.length_before)[:, None] * beam.direction
+    point = beam.entry + depth[:, None] * beam.direction
     way = receiver - point
     length = np.linalg.norm(way, axis=1)
     return Place(
         view=receiver_view,
-        depth=distance - float(beam.length_before),
+        depth=depth,
         path=path,
         back=rays.return_distance(point, receiver, medium=crossed),
         slope=_STEP / (further - path),

@@ -385,7 +385,7 @@ def lit(
     places, place = _places(case, values, distance)
     looks, look = _looks(case, by_axis, places, place)
     distinct = np.unique(frequencies[np.isfinite(frequencies)])
-    light, bent = _light(case, looks, places, distance, distinct, joint=joint)
+    light, bent = _light(case, looks, places, distinct, joint=joint)
     late_error = np.zeros(bent.shape)
     if late:
         late_error = late_uncertainty(case.survey, case.water, looks, places, distance)
@@ -497,19 +497,12 @@ def _light(
     case: Case,
     looks: Looks,
     places: list[geometry.Place],
-    distance: Floats,
     frequencies: Floats,
     *,
     joint: bool,
 ) -> tuple[kernel.Light, Floats]:
     """Signals for the compiled loops, and the mean square scattering angle [rad^2]."""
-    before = distance[0] - float(places[0].depth[0])
-    depth = distance - before
-    if depth[0] <= 0:
-        raise SurveyError(
-            f"distance: {distance[0]:g} m lies before the water, which begins at "
-            f"{before:g} m"
-        )
+    depth = places[0].depth
 
     def light(**changed: Floats) -> Columns:
         fields = {**vars(looks), **changed}
