@@ -42,3 +42,9 @@ def test_the_knee_is_the_corner() -> None:
     assert knee([1, 2], [2, 1]) is None
     # A straight line in logarithms bends nowhere.
     assert knee([1, 10, 100], [1, 0.1, 0.01]) is None
+    # Above that line cost buys more and more.
+    assert knee([1, 10, 100], [1, 0.5, 0.01]) is None
+    assert knee([1, 10, 100], [1, 0.05, 0.01]) == 1
+    # Neither cost nor error without a span has a knee.
+    assert knee([1, 1, 1], [1, 0.1, 0.01]) is None
+    assert knee([1, 2, 3], [1, 0.1, 1]) is None
