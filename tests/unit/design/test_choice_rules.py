@@ -264,6 +264,36 @@ def test_a_choice_has_the_figures_of_its_worst_distance(
     assert missed.to_dict()["met"] is False
 
 
+def test_divided_dwells_are_judged_by_their_phase_errors(
+    goal: Goal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[Any, ...]] = []
+    chances = iter([0.0, 9e-4, 1.0, 0.0, 1.1e-3, 1.0])
+
+    def astray(*arguments: Any) -> tuple[float, float]:
+        asked.append(arguments)
+        return next(chances), 0.0
+
+    monkeypatch.setattr(recommend, "astray", astray)
+    accuracy = goal.accuracy.model_copy(update={"share": 0.6})
+    most = goal.model_copy(update={"accuracy": accuracy})
+    chosen = replace(first_choice(goal), frequencies=(15e6, 52e6))
+    rng = np.random.default_rng(1)
+    variance, bias = rng.uniform(1e-7, 2e-7, (2, 2, 3, 2, 3))
+    found = recommend._error(most, chosen, 1.36, variance, bias, (2, 0))
+    # Two of three draws count: 0.9 of a thousandth is allowed, 1.1 at 2.5 m is not.
+    assert math.isinf(found)
+    assert len(asked) == 6
+    to_range, phase, extra, distance, near, far = asked[1]
+    per_phase = 299792458.0 / (4 * np.pi * 1.36 * np.array([15e6, 52e6]))
+    assert_allclose(to_range, per_phase)
+    expected = [variance[0, 2, 0, 1] + bias[0, 2, 0, 1] ** 2,
+                variance[1, 0, 0, 1] + bias[1, 0, 0, 1] ** 2]  # fmt: skip
+    assert_allclose(phase, expected / per_phase**2)
+    assert (extra, distance, near, far) == (0, 1.5, 0.5, 4)
+    assert [call[3] for call in asked] == [1.5] * 3 + [2.5] * 3
+
+
 def test_requirements_are_a_table_over_the_distances(goal: Goal) -> None:
     score = scores(
         error=np.array([[1e-3, 3.1e-3]]), wrong=np.array([[0.0, 5e-4]]),

@@ -66,7 +66,7 @@ def test_the_water_is_summed_until_it_has_faded(
         absorption=np.array([absorption, absorption + 1]),
         scattering=np.array([scattering, scattering + 1]),
     )
-    found = light._farthest(survey_with(end), looks, np.array([1.0, deepest]))
+    found = light._farthest(survey_with(end), looks, np.array([1.0, 1.5, deepest]))
     assert found == pytest.approx(farthest)
 
 

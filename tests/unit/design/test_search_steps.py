@@ -20,7 +20,7 @@ from amulor.design.candidates import (
     scan_time,
 )
 from amulor.design.goal import LengthBox, Modulation, TimeBox
-from amulor.design.scores import Grid, Score, grid_of
+from amulor.design.scores import Grid, Score, grid_of, merits
 from amulor.design.search import Candidate
 
 F = (15e6, 34e6, 52e6, 75e6, 120e6)
@@ -292,7 +292,7 @@ class Table:
         chosen = [grid.parameters(k, like) for k in range(math.prod(grid.shape))]
         return scores(
             [self.errors.get(each.frequencies, 9.0) * (0.03 / each.dwell) ** 0.1
-             for each in chosen],
+             * (1 + 0.1 * each.field_of_view) for each in chosen],
             [cost_of(self.goal, each) for each in chosen],
         )  # fmt: skip
 
@@ -305,7 +305,7 @@ def test_frequencies_are_exchanged_as_long_as_the_merit_improves(goal: Goal) -> 
     found, tried = search.exchanged(goal, judge, start)
     assert found.parameters.frequencies == (34e6, 75e6)
     assert found.parameters.dwell == 0.12
-    expected = 3.0 * 0.25**0.1
+    expected = 3.0 * 0.25**0.1 * (1 + 0.1 * math.radians(2))
     assert found.merit == pytest.approx(math.log(expected / 3))
     assert found.score.error.shape == (1, 1)
     # Sets of 9, 12, 12 and 12 neighbors, each with three dwell times.
@@ -421,6 +421,28 @@ def test_the_cheapest_that_does_is_found_step_by_step(goal: Goal) -> None:
     kept, _ = search.cheaper(bought, strict, dear)
     assert kept.parameters.frequencies == (15e6, 52e6)
     assert kept.score.cost[0] == pytest.approx(35)
+
+
+def test_of_equal_prices_the_better_is_taken(
+    goal: Goal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bought = priced(goal)
+    monkeypatch.setattr(search, "_EXCHANGES", 1)
+    judge: Any = Table(bought, {(15e6, 52e6): 1.0, (34e6, 52e6): 0.9})
+    dear = Candidate(
+        parameters=replace(
+            first_choice(bought), power=0.03, radius=0.02, frequencies=(15e6, 52e6)
+        ),
+        score=scores([1.0], [100.0]),
+        merit=math.log(1 / 3),
+    )
+    found, _ = search.cheaper(bought, judge, dear)
+    # The small radius saves most; of its candidates the one with the least error.
+    chosen = found.parameters
+    assert (chosen.power, chosen.radius) == (0.03, 0.01)
+    assert (chosen.frequencies, chosen.dwell) == ((34e6, 52e6), 0.12)
+    assert chosen.field_of_view == pytest.approx(math.radians(2))
+    assert found.merit == float(merits(bought, found.score)[0])
 
 
 def test_single_frequencies_are_those_of_the_laser(goal: Goal) -> None:
