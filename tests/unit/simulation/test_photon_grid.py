@@ -96,3 +96,13 @@ def test_chosen_beams_keep_the_largest_variance_near_the_least_possible():
     # The least possible largest variance of p coefficients from N runs is p / N
     # (Kiefer and Wolfowitz); beams drawn at random reach four times as much.
     assert variance.max() < 2.5 * fitted / 200
+
+
+def test_beams_are_the_least_certain_and_a_random_one_in_turn():
+    # One beam stands out; of the other direction nothing is known without the third.
+    basis = np.array([[1.0, 0.0], [4.0, 0.0], [0.0, 2.0], [0.5, 0.1]])
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        first, second, third = itertools.islice(chosen_beams(basis, rng), 3)
+        assert first == 1
+        assert 2 in (second, third)
