@@ -159,6 +159,31 @@ def test_a_change_of_the_water_is_left_to_the_channels(
     assert np.count_nonzero(cause) == 2
 
 
+def test_a_small_change_of_the_water_is_a_prior_along_it(
+    by_hand: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, _ = Case(by_hand, monkeypatch).run(water_change=0.01)
+
+    def gain_of(change: float) -> Any:
+        total = TOTAL + change * np.outer([1, 0.1], [1, 0.1])
+        gain = np.linalg.solve(total, WEIGHTS)
+        return gain / (WEIGHTS @ gain)
+
+    # Water of 0.3 V in quadrature, whose change is that of both channels.
+    change = (0.01 * 0.3) ** 2
+    gain = gain_of(change)
+    target = found.amulor.signal.values[:, 0]
+    variance = (gain @ [1, 0.1]) ** 2 * change
+    expected = np.abs(target.real) * np.sqrt(variance) / np.abs(target) ** 2
+    phase = found["phase_uncertainty_water_model"].values[:, 0]
+    assert_allclose(phase, expected, rtol=1e-4)
+    # Leakage has a mean gain of both outputs.
+    large, _ = Case(by_hand, monkeypatch).run(water_change=0.5)
+    apart = gain_of((0.5 * 0.3) ** 2)
+    mean = np.sqrt((GAIN @ GAIN + apart @ apart) / 2)
+    assert_allclose(large.attrs["phase_error_gain_VV"], mean, rtol=1e-6)
+
+
 def test_flags_are_those_of_either_channel(
     by_hand: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

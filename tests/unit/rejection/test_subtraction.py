@@ -234,6 +234,23 @@ def test_rows_take_what_was_fitted_to_the_scan(
     assert_allclose(rows.target, whole.target)
 
 
+def test_readings_in_turn_tell_no_change_of_the_water(
+    by_hand: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = Case(by_hand, monkeypatch)
+    still = case.run()
+    assert still.fit.channel_phase is not None
+    monkeypatch.setattr(Observation, "reads_in_turn", True)
+    moving = case.run()
+    assert len(case.asked) == 1
+    # The water may depart by two percent unseen.
+    assert moving.fit.strength == Strength(change=0.0, uncertainty=0.02)
+    assert moving.fit.channel_phase is None
+    rows = case.run(fit=still.fit)
+    assert rows.fit.strength is case.strength
+    assert rows.fit.channel_phase is still.fit.channel_phase
+
+
 @pytest.mark.parametrize("value", [-0.01, 1.01])
 def test_a_fraction_of_the_column_lies_between_0_and_1(
     by_hand: Make, monkeypatch: pytest.MonkeyPatch, value: float
