@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -125,6 +126,31 @@ def test_estimated_ratios_bring_their_errors_and_phases(
         for part in (plain, found)
     )
     assert_allclose(after - before, turned.imag**2, rtol=1e-4, atol=1e-12)
+
+
+def test_both_channels_fluctuate_by_themselves(
+    cube: xr.Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module: Any = importlib.import_module("amulor.rejection.polarization")
+    shape = (2, 1, 3, 4)
+    both = [
+        Covariance(*(np.full(shape, v) for v in (size, 2 * size, 0.0)))
+        for size in (1e-5, 4e-5)
+    ]
+    fit = module.FluctuationFit()
+    monkeypatch.setattr(module, "_fluctuations", lambda *_, **__: (both, fit))
+    found, _ = _unmix(cube, **STATED)
+    # The factor of the water's ratio over the contrast, for each of them.
+    expected = (0.1 / 0.2) ** 2 * 5e-5
+    for name, factor in (("in_phase", 1), ("quadrature", 2)):
+        total = found[f"{name}_uncertainty"].values ** 2
+        common = found[f"common_{name}_uncertainty"].values ** 2
+        noise = NOISE**2 * 1.01 / 0.04
+        assert_allclose(total - common - noise, factor * expected, rtol=1e-4)
+    target = found.amulor.signal.values
+    variance = expected * (target.imag**2 + 2 * target.real**2) / np.abs(target) ** 4
+    phase = found["phase_uncertainty_fluctuation"].values
+    assert_allclose(phase, np.sqrt(variance), rtol=1e-5)
 
 
 @pytest.mark.parametrize(
