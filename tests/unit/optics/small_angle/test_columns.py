@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 from scipy.special import j0, j1
 
+from amulor.optics import small_angle, small_angle_closure
 from amulor.optics.phase_functions.models import henyey_greenstein_function
-from amulor.optics.small_angle import _columns, _kernels
+from amulor.optics.small_angle import _columns, _kernels, sharp_receiver
 from amulor.optics.small_angle._columns import Column, Table, looks
 from amulor.optics.small_angle.gaussian_receiver import overlap, water_response
 
@@ -309,3 +310,59 @@ def test_depths_in_several_waters_are_what_each_is_alone() -> None:
         own = {name: value[k] for name, value in varied.items()}
         alone = overlap(depth[:, 0], **water | own)
         assert_allclose(found[:, k], alone, rtol=1e-10)
+
+
+@pytest.mark.parametrize("model", [small_angle, sharp_receiver, small_angle_closure])
+def test_water_and_surfaces_lie_before_the_receiver(model) -> None:
+    water = ARGUMENTS | {"standoff": -0.1, "group_index": 1.38}
+    text = r"^standoff must be finite and not negative \[m\], got -0\.1$"
+    with pytest.raises(ValueError, match=text):
+        model.water_response(1e7, **water)
+    surface = {
+        name: water[name] for name in water if name not in ("end", "group_index")
+    }
+    if model is not small_angle:
+        surface |= {"beam_radius": 0.0, "beam_divergence": 0.0}
+    assert np.all(model.overlap([0.1, 0.5], **surface) >= 0)
+    text = r"^depth \+ standoff must be finite and not negative \[m\], got -0\.05 at "
+    with pytest.raises(ValueError, match=text):
+        model.overlap([0.5, 0.05], **surface)
+
+
+@pytest.mark.parametrize("model", [small_angle, sharp_receiver, small_angle_closure])
+def test_backscatter_is_scattering_times_the_phase_function_unless_stated(
+    model,
+) -> None:
+    water = ARGUMENTS | {"group_index": 1.38}
+    found = model.water_response([0.0, 4e7], **water)
+    at_180 = (1 - 0.95**2) / (4 * np.pi * 1.95**3)
+    stated = model.water_response([0.0, 4e7], **water, backscatter_vsf=0.4 * at_180)
+    assert_allclose(found, stated, rtol=1e-9)
+    twice = model.water_response(
+        [0.0, 4e7], **water, backscatter_vsf=[[0.8 * at_180], [0.4 * at_180]]
+    )
+    assert_allclose(twice, np.array([[2], [1]]) * found, rtol=1e-9)
+
+
+def test_frequencies_and_pixels_may_stand_on_any_axes() -> None:
+    water = ARGUMENTS | {"group_index": 1.38}
+    frequency, baseline = np.array([6e7, 2e7, 9e7]), np.array([0.1, 0.3])
+    alone = np.array(
+        [
+            [
+                small_angle.water_response(f, **water | {"baseline": b})
+                for f in frequency
+            ]
+            for b in baseline
+        ]
+    )
+    for shape, other in (((3, 1), (2,)), ((3,), (2, 1)), ((1, 3), (2, 1, 1))):
+        found = small_angle.water_response(
+            frequency.reshape(shape), **water | {"baseline": baseline.reshape(other)}
+        )
+        expected = alone.T if shape == (3, 1) else alone
+        expected = expected.reshape(np.broadcast_shapes(shape, other))
+        assert_allclose(found, expected, rtol=1e-6)
+    # One frequency for each pixel.
+    found = small_angle.water_response(frequency[:2], **water | {"baseline": baseline})
+    assert_allclose(found, np.diag(alone[:, :2]), rtol=1e-6)
