@@ -94,9 +94,7 @@ def import_file(
             shared = _known(folder, pairs, temperature)
             recordings.refuse_no_scan(path, any_scan=shared.any_scan)
         planes = len(shared.frequencies) * len(shared.pairs)
-        size = rows or max(
-            1, tiles.SAMPLES_AT_ONCE // max(survey.scan.columns * planes, 1)
-        )
+        size = rows or max(1, tiles.SAMPLES_AT_ONCE // (survey.scan.columns * planes))
         recording = _sorted(path, described, survey, folder, shared, size)
         typical = _typical(recording, folder, size)
         marked: Counter[str] = Counter()

@@ -110,7 +110,8 @@ def test_samples_are_copied_with_the_number_of_their_polarization(
         ([21.2, 20.5, 20], None, "(20, 20.5, 21.2 degC)"),
         ([10, 20, 30, 31], 20.4, ""),
         ([20, 30, 10, 10], 20.4, ""),
-        ([10, 30, 20], 20.4, ""),
+        ([10, 20, 30], 20.4, ""),
+        ([10, 30, 20, 31], 29.6, ""),
         ([10, 20, 30], 24.0, "at 24 degC; there are 10, 20, 30"),
     ],
 )
@@ -120,7 +121,9 @@ def test_temperatures_of_all_parts_decide_whether_one_must_be_chosen(
     degrees: list[float],
     chosen: float | None,
     refused: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(recorded, "_LINES", 3)
     mapped = described(tmp_path, polarization="p", temperature="t")
     path = tmp_path / "lines.csv"
     path.write_text("x,y,p,t\n" + "".join(f"1,1,VV,{t}\n" for t in degrees))
