@@ -317,7 +317,7 @@ def sample_of(source: Source) -> xr.Dataset:
     side = int(SAMPLE**0.5)
     wide = columns if rows > side and columns <= 4 * side else min(columns, side)
     across = _spread_bands(columns, wide)
-    down = _spread_bands(rows, max(SAMPLE // wide, 1))
+    down = _spread_bands(rows, SAMPLE // wide)
     strips = [source.tile(begin, end).isel(column=across[0]) for begin, end in down[1]]
     cube = xr.concat(
         [_with_gap(strip) for strip in strips[:-1]] + strips[-1:],

@@ -109,7 +109,7 @@ def test_tiles_of_a_source_have_the_samples_that_fit(
     plain: Any = SimpleNamespace(rows=1, columns=4, head=SimpleNamespace(sizes={}))
     assert tiles.samples_of_row(plain) == 4
     # A source without columns has one tile.
-    monkeypatch.setattr(tiles, "SAMPLES_AT_ONCE", 8)
+    monkeypatch.setattr(tiles, "SAMPLES_AT_ONCE", 3)
     empty: Any = SimpleNamespace(rows=3, columns=0, head=SimpleNamespace(sizes={}))
     assert list(tiles.bands(empty)) == [(0, 3)]
 
@@ -188,6 +188,12 @@ def test_a_sample_of_a_large_scan_is_patches_with_gaps_between_them(
     )
     assert found["user_shared"] == 5
     assert found.attrs == {"level": "range_image"}
+
+
+def test_a_scan_of_65536_pixels_is_its_own_sample() -> None:
+    for rows, whole in ((256, True), (257, False)):
+        cube = xr.Dataset({"number": (PIXEL, np.zeros((rows, 256), np.int8))})
+        assert (tiles.sample_of(tiles.InMemory(cube)) is cube) == whole
 
 
 def test_a_small_scan_is_its_own_sample(monkeypatch: pytest.MonkeyPatch) -> None:

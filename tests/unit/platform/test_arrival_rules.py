@@ -53,7 +53,8 @@ def test_three_equal_delays_in_a_row_are_another_clock() -> None:
     far = 1000.0
     # Stamps far from those of all others; arrivals so far apart that none is soon.
     assert set_back([0, 0, far, far, far, 0], spacing=100) == [2, 3, 4]
-    assert set_back([0, 0, far, far, 0, 0], spacing=100) == []
+    for two in ([0, 0, far, far, 0, 0], [far, far, 0, 0], [0, 0, far, far]):
+        assert set_back(two, spacing=100) == []
     # All late messages beside them have that clock, too.
     delays = [0, far - 9, far, far, far, far + 7, 0]
     assert set_back(delays, spacing=100) == [1, 2, 3, 4, 5]
@@ -116,6 +117,7 @@ def test_late_messages_after_those_of_another_clock_are_doubtful() -> None:
     assert set_back(delays, stamps=stamps, spacing=15) == [1, 2, 3, 5, 7]
     assert set_back(delays, stamps=stamps, spacing=20) == [1, 2, 3, 5]
     assert set_back(delays, stamps=stamps, spacing=31) == [1, 2, 3]
+    assert set_back(delays, stamps=stamps, spacing=0.4) == [1, 2, 3, 5, 7]
 
 
 def steps_of(times: list[float], levels: list[float]) -> list[str]:
@@ -249,8 +251,9 @@ def test_of_two_clocks_the_one_with_the_stated_offset_is_used() -> None:
 def test_a_clock_that_comes_back_is_the_same_clock() -> None:
     time = np.arange(0.0, 90.0, 1.0)
     stamps = time + np.where((time >= 30) & (time < 60), 100.0, 0.0)
-    missing, _ = used(stamps, time)
-    assert missing == [*range(29, 62)]
+    for offset in (0.0, 3.0):
+        missing, _ = used(stamps + offset, time, clock_offset=offset)
+        assert missing == [*range(29, 62)]
     # With few messages, it is not.
     few = time + np.where((time >= 30) & (time < 81), 100.0, 0.0)
     assert used(few, time)[0] == [*range(29, 90)]
