@@ -209,8 +209,6 @@ _ANGULAR_UNITS = {
     "arcminute": 1,
     "arcsecond": 1,
     "turn": 1,
-    "revolution": 1,
-    "cycle": 1,
     "steradian": 2,
 }
 

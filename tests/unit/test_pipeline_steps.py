@@ -206,7 +206,7 @@ def test_a_tile_has_rows_for_four_halos(
     assert pipeline.window(step, source, 3) == 3
 
 
-@pytest.mark.parametrize(("rows", "size"), [(2, 2), (None, 3)])
+@pytest.mark.parametrize(("rows", "size"), [(1, 1), (2, 2), (None, 3)])
 def test_a_step_by_rows_is_fitted_once(
     monkeypatch: pytest.MonkeyPatch, rows: int | None, size: int
 ) -> None:
@@ -237,6 +237,8 @@ def test_a_step_after_another_sees_rows_around_its_own() -> None:
     seen: list[tuple[int, int]] = []
 
     def fit(name: str, source: Any) -> Any:
+        assert source.head.attrs == ({} if name == "one" else {"one": 4})
+
         def treat(tile: xr.Dataset, first: int) -> xr.Dataset:
             seen.append((first, tile.sizes["row"]))
             return tile.assign_attrs({name: source.rows})
@@ -254,7 +256,7 @@ def test_a_step_after_another_sees_rows_around_its_own() -> None:
     ]  # fmt: skip
     assert made[1].attrs == {"one": 4, "two": 4}
     # The second step takes 0 to 2 and 1 to 3, of which the first computes each once.
-    assert seen == [(0, 2), (2, 1), (0, 3), (3, 1), (1, 3)]
+    assert seen == [(0, 1), (0, 2), (2, 1), (0, 3), (3, 1), (1, 3)]
 
 
 def test_a_file_is_opened_by_rows_if_it_is_large_or_rows_are_stated(
@@ -367,10 +369,12 @@ def rejected(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         yield called["cube"]
 
     def write(step: Any, cube: Any, output: Any, rows: Any, *, overwrite: bool) -> Any:
+        _progress.tell("writing", 0.5)
         called["written"] = (step, cube, output, rows, overwrite)
         return summary
 
     def compare(cube: Any, *, interval: Any) -> str:
+        _progress.tell("comparing", 1.0)
         called["compared"] = (cube, interval)
         return "comparison"
 
@@ -426,10 +430,16 @@ def test_methods_are_compared_before_the_best_one_is_used(
     rejected: dict[str, Any],
 ) -> None:
     found = pipeline.reject_file("a.nc", "b.nc", "auto", interval=(1, 2))
-    assert rejected["compared"] == (rejected["cube"].cube, (1, 2))
+    compared, interval = rejected["compared"]
+    assert compared is rejected["cube"].cube
+    assert interval == (1, 2)
     options = {"interval": (1, 2), "comparison": "comparison"}
     assert rejected["written"][0] == ("auto", options)
     assert found.comparison == "comparison"
+    told = told_by(lambda: pipeline.reject_file("a.nc", "b.nc", "auto"))
+    assert told == [("comparing", 0.6), ("writing", 0.8)]
+    told = told_by(lambda: pipeline.reject_file("a.nc", "b.nc", "ours"))
+    assert told == [("writing", 0.5)]
     # By rows, they are compared on a sample without the truth.
     truth = {"truth_target": (PIXEL, np.zeros((3, 2)))}
     rejected["cube"] = Rows(numbers(3, 2, **truth))

@@ -268,8 +268,9 @@ class InstrumentPoses:
     def unknown(self) -> tuple[str, ...]:
         """Quantities without a stated uncertainty, by name."""
         missing = np.isnan(deviations(self.mounting))
-        parts = {"lever arm": [0, 1, 2], "boresight": [3, 4, 5], "clock offset": [6]}
-        names = [name for name, part in parts.items() if missing[part].any()]
+        # The uncertainties of a vector are all known, or none.
+        first = {"lever arm": 0, "boresight": 3, "clock offset": 6}
+        names = [name for name, number in first.items() if missing[number]]
         covariance = self.vehicle.covariance[self.known]
         if not np.isfinite(covariance).all():
             names.insert(0, "trajectory")

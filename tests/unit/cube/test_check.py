@@ -93,6 +93,40 @@ def test_the_smallest_cube_of_a_level_passes(level: str) -> None:
     cubes.check(cube_of(level), level)
 
 
+@pytest.mark.parametrize("level", schema.LEVELS)
+def test_a_selection_of_one_value_is_one_of_a_list_of_one(level: str) -> None:
+    cube = cube_of(level).assign(user_note=("place", [1.0, 2.0]))
+    for dimension in set(cube.sizes) - {"place"}:
+        one, several = cube.isel({dimension: 0}), cube.isel({dimension: [0]})
+        xr.testing.assert_identical(cubes.restore_dimensions(one), several)
+        cubes.checked(one, level)
+    whole = cube.isel(dict.fromkeys(set(cube.sizes) - {"place"}, 0))
+    restored = cubes.restore_dimensions(whole)
+    assert {size for name, size in restored.sizes.items() if name != "place"} == {1}
+    assert restored["user_note"].dims == ("place",)
+    assert cubes.restore_dimensions(cube) is cube
+
+
+def test_dimensions_without_their_coordinate_stay_away() -> None:
+    cube = cube_of("samples")
+    bare = cube.isel(polarization=0, drop=True)
+    assert cubes.restore_dimensions(bare) is bare
+    other = cube.isel(row=0).assign_attrs(level="other")
+    assert cubes.restore_dimensions(other) is other
+    # A variable that lacks another dimension, too, is left as it is.
+    lacking = cube.assign(in_phase=cube["in_phase"].isel(column=0, row=0))
+    restored = cubes.restore_dimensions(lacking.isel(modulation_frequency=0))
+    assert restored["in_phase"].dims == ("polarization",)
+    assert restored["quadrature"].dims == cube["quadrature"].dims
+    channel = cubes.restore_dimensions(cube.isel(polarization=0))["polarization"]
+    assert (channel.dtype, channel.values.tolist()) == (object, ["VV"])
+
+
+def test_frequencies_may_be_below_1_hz() -> None:
+    cubes.check(with_variable("modulation_frequency", values=[0.5, 2.0])(
+        cube_of("samples")))  # fmt: skip
+
+
 SIGNAL = (2, 1, 2, 3)
 AT = "at modulation_frequency 1, polarization 0, row 1, column 2"
 #: What is done to a cube of samples, and what is said of it.

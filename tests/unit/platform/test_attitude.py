@@ -97,6 +97,14 @@ def test_covariances_change_linearly_and_interpolation_adds_its_error() -> None:
         assert_allclose(found, expected, atol=1e-12)
 
 
+def test_five_poses_show_that_a_straight_course_has_no_interpolation_error() -> None:
+    for count, expected in ((4, 0.25), (5, 0.0), (6, 0.0)):
+        time = np.arange(float(count))
+        track = track_of(time, time[:, None] * [1.0, 0, 0])
+        found = track.at([0.5]).covariance[0, 0, 0]
+        assert found == pytest.approx(expected, abs=1e-15)
+
+
 def test_a_pose_of_unknown_error_has_no_part_at_the_times_of_others() -> None:
     place = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
     track = track_of([0, 1, 2], place, variance=[0.01, np.nan, 0.02])

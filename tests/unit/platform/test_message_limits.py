@@ -179,6 +179,7 @@ def test_twenty_late_messages_in_a_row_are_a_delay_and_more_are_a_step() -> None
         # Times of late messages; whole seconds from 0 to 9 are those of others.
         ([4.4], False),
         ([4.4, 5.4], True),
+        ([4.6, 5.6], True),
         ([4.4, 11.5], False),
         ([4.4, 5.4, 11.5], True),
         ([4.4, 5.4, 11.5, 12.5], False),
@@ -194,6 +195,18 @@ def test_late_messages_at_times_of_others_are_a_step(
         f"line 12: the clock steps back by {14 - late[0]:.4g} s; split the file there"
     )
     assert words.startswith(step) if refused else words == ""
+
+
+def test_two_messages_in_time_state_the_usual_interval() -> None:
+    assert refusal(messages_at([0.0, 1.0, 0.4, 0.6])) == (
+        "line 3: the clock steps back by 0.6 s; split the file there, or correct its "
+        "time stamps"
+    )
+    found = track_of(messages_at([5.0, 1.0, 2.0]), longest_gap=9.0)
+    assert found.time.tolist() == [1, 2, 5]
+    assert found.remarks[0] == (
+        "2 messages up to 4 s late, sorted by time stamp; the first is line 2"
+    )
 
 
 def test_a_repeated_message_has_the_pose_of_the_first() -> None:
@@ -232,8 +245,9 @@ def test_gaps_are_counted_and_the_longest_is_named() -> None:
 def test_the_speed_of_a_long_interval_is_compared_with_that_beside_it(
     length: float, moved: float, unlike: bool
 ) -> None:
-    steps, way = np.ones(24), np.ones(24)
-    steps[12], way[12] = length, moved
+    # All other intervals have 5 m/s.
+    steps, way = np.ones(24), np.full(24, 5.0)
+    steps[12], way[12] = length, 5 * moved
     time, east = (np.append(0, np.cumsum(each)) for each in (steps, way))
     track: Any = SimpleNamespace(time=time, position=east[:, None] * [0.6, 0.8, 0])
     found = poses._remarks_on_speed(track, np.arange(25) + 10, place)

@@ -190,6 +190,8 @@ def test_a_part_of_the_poses_has_all_that_belongs_to_it() -> None:
         values = getattr(poses.vehicle, entry.name)
         assert_allclose(getattr(part.vehicle, entry.name), values[[2, 0]])
     assert (part.duration, part.mounting) == (0.3, poses.mounting)
+    instant = InstrumentPoses(vehicle=poses.vehicle, mounting=poses.mounting)
+    assert instant.duration == 0
 
 
 def test_a_mean_pose_is_that_of_the_weights_of_readings() -> None:
