@@ -38,6 +38,44 @@ def test_flags_have_the_numbers_that_stand_in_files() -> None:
     }
 
 
+def test_causes_have_the_numbers_that_stand_in_files() -> None:
+    numbers = {
+        "PHASE_SHIFT": 1, "STRONG_COLUMN": 2, "WATER_SHAPE": 4, "MODEL_MISFIT": 8,
+        "MODEL_DEPARTURE": 16, "WATER_CHANGED": 32, "INSTRUMENT": 64,
+    }  # fmt: skip
+    assert {cause.name: int(cause) for cause in cubes.WaterResidualCause} == numbers
+    attributes = schema.cause_attributes()
+    for name in ("flag_masks", "flag_values"):
+        assert attributes[name].tolist() == list(numbers.values())
+        assert attributes[name].dtype == np.int8
+    assert attributes["flag_meanings"] == " ".join(numbers).lower()
+    assert attributes["units"] == "1"
+
+
+def test_flags_decide_whether_a_pixel_has_a_range_and_an_error() -> None:
+    assert int(cubes.QualityFlag.GOOD) == 0
+    assert int(schema.UNUSABLE) == 1 + 2 + 4 + 8
+    assert int(schema.ERROR_UNKNOWN) == 32 + 256
+    assert int(schema.DOUBTFUL) == 16 + 64 + 128 + 512 + 1024 + 32 + 256
+
+
+def test_levels_state_what_they_need() -> None:
+    needed = {
+        name: [key for key, spec in level.variables.items() if spec.required]
+        for name, level in schema.LEVELS.items()
+    }
+    errors = ["in_phase_uncertainty", "quadrature_uncertainty"]
+    assert needed["samples"][:4] == ["in_phase", "quadrature", *errors]
+    assert needed["range_image"] == [
+        "slant_range", "slant_range_uncertainty", "intensity", "quality_flag",
+    ]  # fmt: skip
+    assert needed["point_cloud"] == [
+        "x", "y", "z", "intensity", "slant_range_uncertainty", "row", "column",
+    ]  # fmt: skip
+    shots = [key for key, spec in schema.OPEN_WATER_VARIABLES.items() if spec.required]
+    assert shots == ["in_phase", "quadrature", *errors]
+
+
 def test_a_simulated_cube_keeps_the_schema(samples: xr.Dataset) -> None:
     cubes.check(samples, "samples")
     assert samples["in_phase"].dims == (

@@ -147,12 +147,12 @@ def test_steps_of_one_moment_are_one_step() -> None:
 @pytest.mark.parametrize(
     ("level", "mounting", "doubtful"),
     [
-        (10.4, {"clock_offset": 10.0}, False),
-        (10.6, {"clock_offset": 10.0}, True),
-        (9.4, {"clock_offset": 10.0}, True),
-        (11.4, {"clock_offset": 10.0, "clock_uncertainty": 0.5}, False),
-        (11.6, {"clock_offset": 10.0, "clock_uncertainty": 0.5}, True),
-        (10.4, {"clock_offset": 10.0, "clock_uncertainty": 0.01}, False),
+        (10.49, {"clock_offset": 10.0}, False),
+        (10.51, {"clock_offset": 10.0}, True),
+        (9.49, {"clock_offset": 10.0}, True),
+        (11.49, {"clock_offset": 10.0, "clock_uncertainty": 0.5}, False),
+        (11.51, {"clock_offset": 10.0, "clock_uncertainty": 0.5}, True),
+        (10.49, {"clock_offset": 10.0, "clock_uncertainty": 0.01}, False),
     ],
 )
 def test_an_offset_may_differ_by_half_a_second_or_three_errors(
@@ -204,6 +204,16 @@ def test_steps_are_noticed_from_five_usual_delays() -> None:
     delay = np.where(np.arange(60) % 3, 0.01, 0.0)
     for size, noticed in ((0.049, False), (0.051, True)):
         stamps = time + np.where(time >= 30, size, 0.0)
+        lines = used(stamps, time + delay)[1]
+        assert any("the clock steps" in line for line in lines) == noticed
+
+
+def test_usual_delays_are_those_from_the_earliest_of_21_messages() -> None:
+    # One of 40 messages is in time: 21 of them have it within ten before or after.
+    time = np.arange(0.0, 120.0)
+    delay = np.where(np.arange(120) % 40, 0.01, 0.0)
+    for size, noticed in ((0.03, False), (0.07, True)):
+        stamps = time + np.where(time >= 60, size, 0.0)
         lines = used(stamps, time + delay)[1]
         assert any("the clock steps" in line for line in lines) == noticed
 
