@@ -33,6 +33,7 @@ class UserWide(Place):
 
     def __init__(self, py_func: Any = None, py_file: str = "") -> None:
         self._cache_path = "of the user"
+        self.source = py_file
 
     def get_suitable_cache_subpath(self, py_file: str) -> str:
         return f"folder of {Path(py_file).name}"
@@ -99,7 +100,20 @@ def test_fresh_places_come_first_and_a_temporary_one_last_of_them(
     assert bases == ["Place", "UserWide", "LastResort"]
     monkeypatch.setattr(_compiled, "_temporary_folder", lambda: Path("/temporary"))
     last = places[2].__mro__[1](None, "/a/b/loop.py")
+    assert last.source == "/a/b/loop.py"
     assert last._cache_path == str(Path("/temporary") / "folder of loop.py")
+
+
+def test_numba_has_the_places_and_the_listener_of_the_package() -> None:
+    cache: Any = _compiled.caching
+    cache = getattr(cache, "CacheImpl", None) or cache._CacheImpl
+    assert cache._locator_classes[0].__name__ == "Fresh"
+    listeners: Any = _compiled.event._registered["numba:compile"]
+    assert [
+        listener
+        for listener in listeners
+        if type(listener).__name__ == _compiled._Compiling.__name__
+    ]
 
 
 def test_a_numba_without_places_stores_as_it_does(
@@ -136,11 +150,13 @@ def test_a_folder_of_the_user_is_kept_and_told_of(
 ) -> None:
     monkeypatch.setattr(_compiled, "_only_written_by", lambda user, path: True)
     path = above / f"amulor-compiled-{os.getuid()}"
-    assert [temporary(), temporary()] == [path, path]
-    assert caplog.messages == [
-        f"amulor: {WHY}: compiled code is kept in {path} until that is emptied; set "
-        "NUMBA_CACHE_DIR to a folder that lasts"
-    ]
+    # Of a folder that is there already, nothing is said.
+    for _ in range(2):
+        assert temporary() == path
+        assert caplog.messages == [
+            f"amulor: {WHY}: compiled code is kept in {path} until that is emptied; "
+            "set NUMBA_CACHE_DIR to a folder that lasts"
+        ]
 
 
 @pytest.mark.parametrize("fault", ["others", "file", "user"])

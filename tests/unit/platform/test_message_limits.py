@@ -298,6 +298,21 @@ def test_a_position_departs_by_eight_typical_departures_and_three_errors(
     assert found == ([words] if named else [])
 
 
+def test_remarks_on_gaps_speed_and_positions_follow_each_other() -> None:
+    time = np.append(np.arange(40.0), [43.0, 44.0, 60.0, 61.0])
+    position = time[:, None] * [1.0, 0, 0]
+    position[40:, 0] -= 2.5  # a clock that steps forward
+    position[20, 1] = 0.5
+    found = track_of(messages_at(time, position=position))
+    assert found.remarks == (
+        "1 gap longer than 5 s without poses; the longest, 16 s, ends at line 43",
+        "the speed changes in 1 long interval, first before line 41: did the clock "
+        "step?",
+        "positions depart from their neighbors in 6 poses, by up to 0.5 m at line 21: "
+        "is it an outlier, or did the clock step?",
+    )
+
+
 def test_the_largest_of_several_departures_is_named() -> None:
     departures = np.zeros((9, 6))
     departures[[3, 6], 0] = [0.2, -0.3]
