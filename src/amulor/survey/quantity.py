@@ -164,7 +164,7 @@ SpectralRadiance = Annotated[
     _write("spectral radiance"),
     _schema("spectral radiance"),
 ]
-Fraction = Annotated[float, _read("fraction"), _finite]
+Fraction = Annotated[float, _read("fraction"), _finite, _schema("fraction")]
 
 
 def _whole_number(value: Any) -> Any:
