@@ -59,6 +59,12 @@ def cloud_of(count: int) -> SimpleNamespace:
     )  # fmt: skip
 
 
+@pytest.fixture
+def near_labels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave labels of ellipses where they are, which saves drawing them."""
+    monkeypatch.setattr(site_report, "separate", lambda *_: None)
+
+
 #: Two scans 3 m apart, 0.5 m in north and up.
 APART = {"a": (1.0, 2.0, -3.0), "b": (4.0, 2.5, -3.5)}
 
@@ -72,7 +78,9 @@ APART = {"a": (1.0, 2.0, -3.0), "b": (4.0, 2.5, -3.5)}
      (0.0071, "20 times: 0.02 m on the axes for 1 mm"),
      (1.0, "0.1 times: 0.1 m on the axes for 1000 mm")],
 )  # fmt: skip
-def test_the_title_of_ellipses_states_their_factor(error: float, words: str) -> None:
+def test_the_title_of_ellipses_states_their_factor(
+    error: float, words: str, near_labels: None
+) -> None:
     registration = registration_of(error, **APART)
     figure = site_report.ellipses(site_of(registration), registration)
     (legend,) = figure.legends
@@ -114,13 +122,13 @@ def test_panels_of_ellipses_have_labels_and_the_shape_of_the_site() -> None:
 @pytest.mark.parametrize(
     ("place", "high"), [((10.0, 0.0, 0.0), 3.7), ((0.0, 10.0, 10.0), 11.0)]
 )
-def test_a_figure_of_ellipses_fits_a_page(place, high) -> None:
+def test_a_figure_of_ellipses_fits_a_page(place, high, near_labels) -> None:
     registration = registration_of(1e-3, a=(0.0, 0.0, 0.0), b=place)
     figure = site_report.ellipses(site_of(registration), registration)
     assert figure.get_size_inches()[1] == pytest.approx(high)
 
 
-def test_a_single_scan_has_ellipses_around_its_place() -> None:
+def test_a_single_scan_has_ellipses_around_its_place(near_labels) -> None:
     registration = registration_of(1e-3, a=(1.0, 2.0, 3.0))
     figure = site_report.ellipses(site_of(registration), registration)
     # As of a site of 0.1 m: a pad of 12 mm, and a factor of 5.
@@ -284,7 +292,9 @@ def test_shared_errors_are_listed_in_their_own_uncertainties() -> None:
     assert table.caption.endswith("shape 1 is the largest independent part.")
 
 
-def test_angles_are_listed_in_milliradians_and_the_network_has_its_scale() -> None:
+def test_angles_are_listed_in_milliradians_and_the_network_has_its_scale(
+    near_labels,
+) -> None:
     registration = registration_of(1e-3, **APART)
     site = site_of(registration)
     registration.reliability = [_line("start a", "about up", score=9.0, external=None)]
