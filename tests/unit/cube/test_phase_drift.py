@@ -148,6 +148,14 @@ def test_missing_readings_repeat_the_one_before_and_begin_with_0() -> None:
     assert filled.tolist() == [[0.0, 5.0, 5.0, 7.0], [1.0, 1.0, 1.0, 2.0]]
 
 
+def test_two_readings_have_one_interval_in_any_unit_of_time() -> None:
+    phase, noise = np.array([[0.0, 3e-3]]), np.full((1, 2), 1e-6)
+    first = _smoothed(phase, noise, np.array([[5.0, 6.0]]))
+    for gap in (0.0, 1e-3, 60.0):
+        found = _smoothed(phase, noise, np.array([[5.0, 5.0 + gap]]))
+        assert_allclose(found, first, rtol=1e-9)
+
+
 @pytest.mark.parametrize("scale", [1e-3, 60.0])
 def test_the_unit_of_time_does_not_matter(scale: float) -> None:
     rng = np.random.default_rng(7)
