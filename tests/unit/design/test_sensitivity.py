@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import paper_goal
 import pytest
+import xarray as xr
 
 from amulor.design import evaluate
+from amulor.design import sensitivity as module
 from amulor.design.candidates import survey_of
 from amulor.design.sensitivity import sensitivity, uncertain
 
@@ -61,3 +65,24 @@ def test_the_same_each_time() -> None:
     first, second = (sensitivity(goal, chosen, samples=16) for _ in range(2))
     np.testing.assert_array_equal(first.total, second.total)
     np.testing.assert_array_equal(first.total_error, second.total_error)
+
+
+def test_water_of_another_laser_is_drawn_in_proportion(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = []
+
+    def evaluated(survey: Any, **named: Any) -> dict[str, xr.DataArray]:
+        drawn.append(named["attenuation"].values)
+        # The error is the attenuation.
+        return {"total_error": named["attenuation"].expand_dims(distance=2)}
+
+    monkeypatch.setattr(module, "evaluate", evaluated)
+    monkeypatch.setattr(module, "water_scale", lambda *_: {"attenuation": 2.0})
+    goal, chosen = paper_goal.choice().goal, paper_goal.choice().best.parameters
+    found = sensitivity(goal, chosen, samples=64)
+    values = np.concatenate(drawn)
+    # 0.75 1/m to 0.95 1/m for the first laser.
+    assert 1.5 < values.min() < 1.51
+    assert 1.89 < values.max() < 1.9
+    assert found.largest.axis == "attenuation"

@@ -95,6 +95,51 @@ def test_the_direction_of_a_block_is_the_mean_of_its_beams() -> None:
     assert_allclose(apart, direction[0, [1, 0]])
 
 
+def test_blocks_have_the_mean_angles_depths_and_noise_of_their_pixels(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: dict[str, Any] = {}
+
+    def entered(start: Any, direction: Any, medium: Any) -> SimpleNamespace:
+        return SimpleNamespace(entry=start, direction=direction)
+
+    def weights(places: Surroundings, *_: Any, error: np.ndarray) -> Any:
+        given.update(depth=places.depth, error=error)
+        return np.full((1, 2), 0.5 + 0j), np.zeros((1, 2, 2), dtype=complex)
+
+    def angles(azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
+        given.update(azimuth=azimuth, elevation=elevation)
+        return np.tile([0.0, 0.0, 1.0], (2, 1))
+
+    monkeypatch.setattr(module, "_BLOCKS", 2)
+    monkeypatch.setattr(
+        module, "rays", SimpleNamespace(enter_water=entered, direction=angles)
+    )
+    along = entered(np.zeros(3), np.array([0.0, 0.0, 1.0]), None)
+    monkeypatch.setattr(module, "line_of_sight", lambda *_: along)
+    monkeypatch.setattr(module, "gaussian_arguments", lambda *_: {})
+    monkeypatch.setattr(module, "view", lambda *_: None)
+    monkeypatch.setattr(module, "_weights", weights)
+    column = np.tile(np.arange(4.0), (2, 1))
+    ahead = np.broadcast_to([0.0, 0.0, 1.0], (2, 4, 3))
+    geometry = SimpleNamespace(
+        beam=SimpleNamespace(direction=ahead), emitter=np.zeros(3), medium=None,
+        azimuth=column, elevation=-column, depth=lambda slant_range: slant_range - 1,
+    )  # fmt: skip
+    slant_range = np.array([[2.0, 3, 4, np.nan], [2, 5, 8, 9]])
+    observation: Any = SimpleNamespace(geometry=geometry, frequency=np.array([1e8]))
+    unknown: Any = SimpleNamespace(group_index=1.38)
+    module._surrounding_light(
+        observation, slant_range, np.ones((2, 4)), 0.1 * slant_range,
+        survey=unknown, water=unknown,
+    )  # fmt: skip
+    # Two squares; the right one has three pixels with a range.
+    assert_allclose(given["azimuth"], [0.5, 7 / 3])
+    assert_allclose(given["elevation"], [-0.5, -7 / 3])
+    assert_allclose(given["depth"], [2, 6])
+    assert_allclose(given["error"], [0.3, 0.7])
+
+
 class _Rings:
     """Two places beside each of two beams, with given weights."""
 

@@ -254,3 +254,21 @@ def test_the_norm_of_a_quaternion_is_kept() -> None:
         found = trajectories.in_enu(stated, axes)
         assert np.linalg.norm(found[0]) == pytest.approx(2)
         assert np.isnan(found[1:]).all()
+
+
+def test_echoes_that_overlap_leave_a_bump_in_the_smallest_scene() -> None:
+    time_bin = np.arange(400.0)
+
+    def scene(middle: float) -> np.ndarray:
+        return np.asarray(100.0 + 1e5 * np.exp(-0.5 * ((time_bin - middle) / 8) ** 2))
+
+    near, far = scene(180.0), scene(220.0)
+    found = transients.overlap_of(np.stack([near, far]))
+    # Halfway both echoes have the same height, and the ground of 100 is no bump.
+    height = 1e5 * np.exp(-0.5 * 2.5**2)
+    assert found.argmax() == 200
+    assert found.max() == pytest.approx(height, rel=0.02)
+    assert not found[:150].any()
+    assert not found[250:].any()
+    apart = transients.overlap_of(np.stack([scene(100.0), scene(300.0)]))
+    assert apart.max() < 1

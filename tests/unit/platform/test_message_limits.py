@@ -197,6 +197,15 @@ def test_late_messages_at_times_of_others_are_a_step(
     assert words.startswith(step) if refused else words == ""
 
 
+@pytest.mark.parametrize("late", [[0.1, 0.2], [3.8, 3.9]])
+def test_the_first_and_the_last_message_count_as_others(late: list[float]) -> None:
+    time = np.array([0.0, 1, 2, 3, 4, *late])
+    assert refusal(messages_at(time), longest_gap=9.0) == (
+        f"line 6: the clock steps back by {4 - late[0]:.4g} s; split the file there, "
+        "or correct its time stamps"
+    )
+
+
 def test_two_messages_in_time_state_the_usual_interval() -> None:
     assert refusal(messages_at([0.0, 1.0, 0.4, 0.6])) == (
         "line 3: the clock steps back by 0.6 s; split the file there, or correct its "

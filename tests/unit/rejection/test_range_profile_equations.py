@@ -142,6 +142,23 @@ def test_late_light_is_divided_out_and_put_back() -> None:
     assert_allclose(plain.variance, 1e-4, rtol=0.02)
 
 
+def test_the_second_search_has_the_water_without_late_light(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given = []
+
+    def found(signal: Any, error: Any, water: Any) -> Any:
+        given.append(water)
+        return module._Beam(signal, error**2, 2.5, False)
+
+    monkeypatch.setattr(module, "_one_surface", found)
+    weaker = np.full((FREQUENCY.size, 2), np.log(0.5) + 0j)
+    late = module._LateLight(np.array([1.0, 4.0]), weaker)
+    error = np.full(FREQUENCY.size, 0.01)
+    module._separated(echoes((1.0, 2.5)), error, late, WATER)
+    assert_allclose(given, [WATER, 2 * WATER])
+
+
 @pytest.mark.parametrize(
     ("interval", "ends"), [((1.0, 4.0), (1.0, 4.0)), ((0.1, 4.0), (0.2, 4.0))]
 )

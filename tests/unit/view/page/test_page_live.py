@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -223,6 +224,29 @@ def test_a_scan_that_was_looked_at_before_is_followed_by_another_thread(
     # By the same connection: none is left open in a thread that is gone.
     assert live._journal is first
     live.stop()
+
+
+def test_a_scan_is_followed_from_its_start_to_its_stop(
+    survey: Survey, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan(survey, folder)
+    live = Live(folder)
+    looks: list[str] = []
+    looked = threading.Event()
+
+    def look() -> None:
+        looks.append(threading.current_thread().name)
+        looked.set()
+
+    monkeypatch.setattr(live, "look", look)
+    live.start()
+    live.start()  # a second start changes nothing
+    assert looked.wait(10)
+    live.stop()
+    count = len(looks)
+    assert set(looks) == {looks[0]} != {threading.current_thread().name}
+    time.sleep(0.05)
+    assert len(looks) == count
 
 
 def test_newer_samples_are_those_after_a_number(survey: Survey, folder: Path) -> None:

@@ -8,6 +8,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import unquote
 
@@ -123,6 +124,32 @@ def test_a_section_runs_between_the_pixels_of_the_line(
         # In a drawing of the front up is against y.
         assert found["right [m]"][at] == pytest.approx(cloud["x"].values[own][0])
         assert found["up [m]"][at] == pytest.approx(-cloud["y"].values[own][0])
+
+
+def test_the_ends_of_a_section_lie_apart_in_the_drawing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    image = xr.Dataset({"slant_range": (("row", "column"), np.ones((1, 4)))})
+    # The second pixel lies behind the first, the third opposite to it.
+    places = {"x": [0.3, 0.3, -0.3, 0.3], "y": [0.2, 0.2, 0.2, -0.2], "z": [1, 2, 1, 1]}
+    pixels = {"row": [0, 0, 0, 0], "column": [0, 1, 2, 3]}
+    cloud = xr.Dataset({k: ("point", v) for k, v in {**places, **pixels}.items()})
+    monkeypatch.setattr(imaging, "point_cloud", lambda image, frame: cloud)
+    monkeypatch.setattr(
+        imaging.products, "plane_of", lambda *_: SimpleNamespace(axes=np.eye(3))
+    )
+
+    def line(column: int) -> tuple[float, ...]:
+        frame: Any = None
+        return page_products._line(image, frame, "front", [[0, 0], [0, column]])
+
+    assert line(2) == (0.3, 0.2, -0.3, 0.2)
+    assert line(3) == (0.3, 0.2, 0.3, -0.2)
+    with pytest.raises(CubeError) as refused:
+        line(1)
+    assert str(refused.value) == (
+        "seen from the front, both ends of the section are at the same place"
+    )
 
 
 def test_deviations_are_from_the_mesh_that_was_given_at_the_start(
