@@ -93,6 +93,7 @@ def test_a_change_of_an_older_revision_is_refused(tmp_path: Path) -> None:
     [
         {"file": "../../elsewhere.json"},
         {"annotations": [{**NOTE, "row": -1}]},
+        {"annotations": [{**NOTE, "row": "2"}]},
         {"annotations": [{**NOTE, "text": "x" * 2001}]},
         {"annotations": [NOTE] * 201},
         {"views": [{**VIEW, "limits": [float("nan"), 1.0]}]},
