@@ -276,6 +276,20 @@ def test_refinement_ends_at_the_edge_of_a_range(
     assert better.parameters.radius >= 0.02
 
 
+@pytest.mark.parametrize("edge", [0.01, 0.03])
+def test_refinement_leaves_the_edge_where_it_starts(
+    goal: Goal, monkeypatch: pytest.MonkeyPatch, edge: float
+) -> None:
+    ranged = with_parts(goal, radius=LengthBox(low=0.01, high=0.03))
+    monkeypatch.setattr(search, "Judge", Bowl)
+    judge: Any = Bowl(ranged)
+    start = search.candidate_of(
+        judge, replace(first_choice(ranged), radius=edge, frequencies=(20e6,))
+    )
+    better, _ = search._refined(ranged, judge, start)
+    assert better.parameters.radius == pytest.approx(0.017, rel=0.01)
+
+
 class Table:
     """Judge with an error for each frequency set, and a price for each part."""
 

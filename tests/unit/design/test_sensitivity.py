@@ -86,3 +86,12 @@ def test_water_of_another_laser_is_drawn_in_proportion(
     assert 1.5 < values.min() < 1.51
     assert 1.89 < values.max() < 1.9
     assert found.largest.axis == "attenuation"
+
+
+def test_a_goal_without_a_range_has_no_sensitivity(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "uncertain", lambda *_: ())
+    unknown: Any = None
+    with pytest.raises(ValueError, match="nothing is uncertain: the goal states no"):
+        sensitivity(unknown, unknown)

@@ -150,6 +150,23 @@ def test_beams_have_four_coordinates() -> None:
     assert_allclose(found, expected)
 
 
+def test_photons_need_homogeneous_water_and_a_plain_beam(
+    plate: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    for name in ("refuse_layers", "refuse_beam_and_edges"):
+        monkeypatch.setattr(
+            photons, name,
+            lambda what, model, name=name: asked.append((name, what, model)),
+        )  # fmt: skip
+    setup = Setup(plate)
+    photons._setting(plate, setup.water, trace(setup).view)
+    assert asked == [
+        ("refuse_layers", setup.water, "the photon model"),
+        ("refuse_beam_and_edges", plate, "the photon model"),
+    ]
+
+
 def test_water_of_a_survey_is_that_of_its_photons(plate: Survey) -> None:
     survey = plate.with_(WHOLE)
     setup = Setup(survey)

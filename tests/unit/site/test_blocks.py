@@ -122,6 +122,10 @@ def test_pixels_and_blocks_are_found_from_each_other() -> None:
     for block, at in zip(number, pixel, strict=True):
         row, column = block_of(image, *divmod(int(at), COLUMNS))
         assert row * 40 + column == block
+    # Of an even number of pixels, the center is behind the middle.
+    for side, center in ((2, 1), (4, 2)):
+        even = surface_of(site, site.scan[0], averaged(plane(), side))
+        assert pixels_of_scan(even, np.array([0])) == center * COLUMNS + center
     assert block_of(plane(), 8, 5) == (8, 5)
 
 

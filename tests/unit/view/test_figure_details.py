@@ -145,6 +145,11 @@ def test_a_trajectory_has_a_plan_with_start_end_and_headings(track) -> None:
     assert_allclose(arrows.U, np.cos(np.radians(20)))
     assert_allclose(arrows.V, 0, atol=1e-9)
     assert arrows.angles == "xy"
+    marks = {
+        line.get_label(): [*line.get_xdata(), *line.get_ydata()] for line in plan.lines
+    }
+    assert_allclose(marks["start"], [0, 0], atol=1e-9)
+    assert_allclose(marks["end"], [10, 0], atol=1e-9)
     for axis in figure.axes:
         assert any(line.get_visible() for line in axis.get_xgridlines())
     *others, last = panels
