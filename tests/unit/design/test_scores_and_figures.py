@@ -411,6 +411,21 @@ def test_an_analyzer_passes_its_part_of_each_surface(tank: Survey) -> None:
     assert_allclose(moved[:, 2], 1.0)
 
 
+def test_a_surface_that_depolarizes_all_light_moves_towards_a_mirror(
+    tank: Survey,
+) -> None:
+    text = "targets.0.mueller"
+    case = case_of(tank.with_({text: "ideal-depolarizer"}), water_properties(tank))
+    kept = np.array([0.4, 1.0])
+    found = _fractions(
+        case, {"target_m22": kept}, ("VV", "RR", "RL", "PP", "PM"), "target",
+        lambda value: np.broadcast_to(value, (2,)),
+    )  # fmt: skip
+    # A mirror keeps V, and turns right into left and +45 degrees into -45 degrees.
+    same, other = (1 + kept) / 2, (1 - kept) / 2
+    assert_allclose(found, np.stack([same, other, same, other, same], axis=1))
+
+
 def looks_of(tank: Survey, **changed: np.ndarray) -> Looks:
     values: dict[str, Any] = {
         "absorption": np.array([0.1, 0.3]), "scattering": np.array([0.25, 0.5]),

@@ -64,6 +64,22 @@ def test_a_damaged_file_is_refused_before_its_rows_are_read(samples, path):
         pass
 
 
+def test_rows_that_are_damaged_since_the_file_was_opened_are_named(samples, path):
+    class Broken:
+        def __getitem__(self, name):
+            raise OSError("a  checksum is wrong")
+
+    io.write_cube(samples, path)
+    with netcdf.open_rows(path) as source:
+        source._storage = Broken()
+        with pytest.raises(FormatError) as refused:
+            source.tile(0, 2)
+    assert str(refused.value) == (
+        f"rows 0 to 1 of {path} cannot be read: a checksum is wrong; the file is "
+        "damaged: copy it again, or make it again"
+    )
+
+
 def test_a_file_without_rows_is_refused(make, rng, path):
     io.write_cube(make.point_cloud(rng), path)
     with (

@@ -32,10 +32,10 @@ PLACES = [{"scan": "a", "row": 30, "column": 39}]
 
 
 def _surface(
-    distance: np.ndarray, *, bright: np.ndarray | None = None
+    distance: np.ndarray, *, bright: np.ndarray | None = None, own: float = OWN
 ) -> tuple[ScanSurface, xr.Dataset]:
     """Surface of a scan with an error by delay that all pixels share."""
-    image = scenes.image_of(distance, AZIMUTH, ELEVATION, own=OWN, shared=DELAY)
+    image = scenes.image_of(distance, AZIMUTH, ELEVATION, own=own, shared=DELAY)
     delay = xr.full_like(image["slant_range"], DELAY)
     image = image.assign(slant_range_uncertainty_delay=delay)
     if bright is not None:
@@ -226,6 +226,16 @@ def test_a_plane_keeps_points_within_four_standard_errors() -> None:
     off = plane - PLANE
     # Three degrees of freedom.
     assert off @ np.linalg.solve(covariance, off) < 16
+
+
+def test_noise_that_is_stated_too_large_keeps_no_point_off_a_plane() -> None:
+    ranges = _tilted()
+    row, column = _pixel(MIDDLE)
+    ranges[row + 1, column] += 1e-3
+    surface, _ = _surface(ranges, own=5e-3)
+    on, plane, _ = centres._plane(surface, MIDDLE, 0.03, _sphere())
+    assert not on[row + 1, column]
+    assert_allclose(plane, PLANE, rtol=1e-9)
 
 
 def test_noise_of_the_picked_pixel_does_not_move_a_target() -> None:
