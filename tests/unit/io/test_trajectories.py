@@ -119,6 +119,10 @@ def test_geographic_positions_lie_where_geodesy_says(tmp_path):
                "heading": "h", "pitch": "p", "roll": "r"}  # fmt: skip
     described = _map(columns, crs="EPSG:32632", heading_from="true")
     track = trajectory_from_table(path, described)
+    offset = (600_000.0, 4_870_000.0, -3.0)
+    described = _map(columns, crs="EPSG:32632", heading_from="true", crs_offset=offset)
+    less = trajectory_from_table(path, described)
+    np.testing.assert_allclose(less.position, track.position - offset, atol=1e-6)
     step = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
     # Arc of the meridian at 44 degrees, times the scale 0.9996 and more beside 9 E.
     np.testing.assert_allclose(step, 30.8627 * 0.9998, rtol=2e-4)

@@ -180,3 +180,15 @@ def test_figures_of_merit_are_medians_of_the_pixels_with_a_target(
     for name in ("amplitude", "ratio", "contrast", "noise", "shift"):
         assert np.isnan(getattr(none, name)).all()
     assert_array_equal(none.usable, 0.0)
+
+
+def test_a_mean_over_one_pixel_is_its_value_and_over_none_unknown() -> None:
+    values = np.array([3.0, 4, 5, 7]).reshape(1, 1, 2, 2)
+    for used, expected in (
+        ([False, True, False, False], 4.0),
+        ([True, False, False, True], 5.0),
+        ([False, False, False, False], np.nan),
+    ):
+        usable = np.reshape(used, values.shape)
+        assert_allclose(merits._mean(values, usable), [[expected]])
+        assert_allclose(merits._median(values, usable), [[expected]])
