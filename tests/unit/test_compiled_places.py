@@ -1,4 +1,4 @@
-"""Where compiled code is kept, and what its names are made of, without compiling."""
+"""Folders and names of compiled code, without compiling."""
 
 from __future__ import annotations
 

@@ -6,9 +6,11 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import xarray as xr
+from logged_devices import logged_devices
 from patient_links import links_are_patient  # noqa: F401  it is used by itself
 
 from amulor import acquisition
@@ -152,3 +154,14 @@ class Stop:
 def stop_fixture() -> type[Stop]:
     """Return the class of controls that pause once."""
     return Stop
+
+
+@pytest.fixture
+def log() -> list[Any]:
+    """Return what `devices` were told, in order."""
+    return []
+
+
+@pytest.fixture
+def devices(log: list[Any]) -> Devices:
+    return logged_devices(log)

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from logged_devices import (
     FREQUENCY,
-    logged_devices,
     reading,
     sampler,
     scripted,
@@ -27,16 +26,6 @@ from amulor.acquisition.protocols import Overload
 from amulor.acquisition.sampler import DarkLevel, SampleFlag
 from amulor.errors import InstrumentError
 from amulor.survey import Survey
-
-
-@pytest.fixture
-def log() -> list[Any]:
-    return []
-
-
-@pytest.fixture
-def devices(log) -> Devices:
-    return logged_devices(log)
 
 
 def flags_of(small: Survey, devices: Devices, kind: str = SCAN, **settings: Any):

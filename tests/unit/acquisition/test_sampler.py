@@ -12,7 +12,6 @@ import pytest
 from logged_devices import (
     FREQUENCY,
     Logged,
-    logged_devices,
     reading,
     sampler,
     step,
@@ -36,16 +35,6 @@ from amulor.acquisition.sampler import SampleFlag, Sampler
 from amulor.acquisition.sweep import Swept
 from amulor.errors import InstrumentError
 from amulor.survey import Survey
-
-
-@pytest.fixture
-def log() -> list[Any]:
-    return []
-
-
-@pytest.fixture
-def devices(log) -> Devices:
-    return logged_devices(log)
 
 
 def test_a_dwell_configures_what_differs_then_reads_once(small, devices, log) -> None:

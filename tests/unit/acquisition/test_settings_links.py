@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 import pytest
+from device_files import LINKED, device_sections
 from pydantic import ValidationError
 
 from amulor.acquisition.settings import LaserSettings, ScannerSettings, Settings
 from amulor.acquisition.settings.parts import Linked, MirrorSettings
 
-LINKED = {"address": "somewhere"}
 SR865A = {"driver": "sr865a", **LINKED, "modulation_amplitude": "0.5 V"}
 SOURCE = {"driver": "scpi", **LINKED, "amplitude": "1 V"}
 
@@ -98,15 +98,10 @@ def mirrors(azimuth: str, elevation: str, outputs: str = "lock_in") -> dict[str,
 
 
 def wired(**parts: Any) -> dict[str, Any]:
-    return {
-        "lock_in": {"driver": "sr844", **LINKED},
-        "scanner": {"driver": "pi_gcs", **LINKED},
-        "launch": {"driver": "none"},
-        "analyser": {"driver": "none"},
-        "target": {"driver": "none"},
-        "laser": {"driver": "scpi", "scpi": {}, **LINKED},
-        **parts,
-    }
+    """Return devices of which the laser has a link of its own."""
+    return device_sections(
+        **{"laser": {"driver": "scpi", "scpi": {}, **LINKED}, **parts}
+    )
 
 
 HEAD = {"driver": "pelco_d", **LINKED}

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from device_files import LINKED, device_sections
 from pydantic import ValidationError
 
 from amulor.acquisition.settings import (
@@ -20,7 +21,6 @@ from amulor.acquisition.settings import (
 from amulor.acquisition.settings.devices_file import MountSettings
 from amulor.acquisition.settings.parts import PanTiltSettings, SourceSettings
 
-LINKED = {"address": "somewhere"}
 OPHYD = {"driver": "ophyd_async", "options": {"class": "a:B"}}
 SCPI = {
     "driver": "scpi", **LINKED,
@@ -204,18 +204,6 @@ def test_the_last_input_of_a_lock_in_can_be_wired(driver, number) -> None:
         LockInSettings.model_validate({**SR865A, "input_range": value})
 
 
-def wired(**parts: Any) -> dict[str, Any]:
-    return {
-        "lock_in": {"driver": "sr844", **LINKED},
-        "scanner": {"driver": "pi_gcs", **LINKED},
-        "launch": {"driver": "none"},
-        "analyser": {"driver": "none"},
-        "target": {"driver": "none"},
-        "laser": {"driver": "lock_in_output"},
-        **parts,
-    }
-
-
 OWN = "laser and shutter need outputs of their own among 1 to {last} of the lock-in, "
 
 
@@ -266,7 +254,7 @@ OWN = "laser and shutter need outputs of their own among 1 to {last} of the lock
     ],
 )  # fmt: skip
 def test_parts_of_a_devices_file_fit_together(parts, text) -> None:
-    content = wired(**parts)
+    content = device_sections(**parts)
     if text is None:
         assert not Settings.model_validate(content).simulated
         return

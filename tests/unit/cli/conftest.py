@@ -1,4 +1,4 @@
-"""What commands printed, and a temporary folder to run them in."""
+"""Lines that commands print, and a temporary folder with inputs to run them in."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from amulor.cli import _arguments, _output, demo, export, patch_test, simulate
 
 
 @pytest.fixture
@@ -26,3 +28,26 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the current folder, which is temporary."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def inputs(
+    request: pytest.FixtureRequest, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """Return the current folder with the empty INPUTS of a file of tests.
+
+    They are not looked into.
+    """
+    for name in request.module.INPUTS:
+        (here / name).touch()
+    monkeypatch.setattr(_arguments, "check_small", lambda path: None)
+    return here
+
+
+@pytest.fixture
+def next_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print the next command in a pipe, too."""
+    for module in (_output, demo, export, patch_test, simulate):
+        monkeypatch.setattr(
+            module, "print_next", lambda command: print(f"next: {command}")
+        )

@@ -144,7 +144,7 @@ def test_errors_have_lines_and_exit_codes(
 
 
 def test_a_closed_pipe_ends_with_1_and_no_words(monkeypatch) -> None:
-    """What is left in the buffer goes nowhere."""
+    """The rest of the buffer goes nowhere."""
     turned: list[tuple[int, int]] = []
 
     def fail(words: list[str]) -> int:

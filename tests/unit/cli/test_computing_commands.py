@@ -14,30 +14,16 @@ import pytest
 from records import record
 
 from amulor import rejection
-from amulor.cli import _arguments, _output, backscatter, benchmark, demo, main
+from amulor.cli import backscatter, benchmark, main
 from amulor.cli import reproduce as reproduce_command
 from amulor.errors import SurveyError
 from amulor.survey import Survey
 
+pytestmark = pytest.mark.usefixtures("next_commands")
+
+INPUTS = ("a.nc", "b.nc", "s.toml", "m.ply", "c.toml", "x.csv")
+
 Named: Any = SimpleNamespace
-
-
-@pytest.fixture(autouse=True)
-def _next_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Print the next command in a pipe, too."""
-    for module in (_output, demo):
-        monkeypatch.setattr(
-            module, "print_next", lambda command: print(f"next: {command}")
-        )
-
-
-@pytest.fixture
-def inputs(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with empty inputs, which are not looked into."""
-    for name in ("a.nc", "b.nc", "s.toml", "m.ply", "c.toml", "x.csv"):
-        (here / name).touch()
-    monkeypatch.setattr(_arguments, "check_small", lambda path: None)
-    return here
 
 
 def response(**changes: Any) -> dict[str, Any]:

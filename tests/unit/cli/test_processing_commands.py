@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 from amulor import handover, imaging, io, pipeline, rejection, samples
-from amulor.cli import _arguments, _output, info, main, presets, reject
+from amulor.cli import _arguments, info, main, presets, reject
 from amulor.cli import archive as archive_command
 from amulor.cli import export as export_command
 from amulor.cli import image as image_command
@@ -22,26 +22,12 @@ from amulor.errors import CubeError
 from amulor.imaging.moving import MovingFrame
 from amulor.rejection.compare import Row
 
+pytestmark = pytest.mark.usefixtures("next_commands")
+
+INPUTS = ("a.nc", "b.nc", "p.toml", "t.csv")
+
 Named: Any = SimpleNamespace
 WATER = "water not removed: error unknown, expect centimeters"
-
-
-@pytest.fixture(autouse=True)
-def _next_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Print the next command in a pipe, too."""
-    for module in (_output, export_command):
-        monkeypatch.setattr(
-            module, "print_next", lambda command: print(f"next: {command}")
-        )
-
-
-@pytest.fixture
-def inputs(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with empty inputs, which are not looked into."""
-    for name in ("a.nc", "b.nc", "p.toml", "t.csv"):
-        (here / name).touch()
-    monkeypatch.setattr(_arguments, "check_small", lambda path: None)
-    return here
 
 
 def summary(**changes: Any) -> Any:

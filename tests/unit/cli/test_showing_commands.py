@@ -15,31 +15,17 @@ import xarray as xr
 from records import record
 
 from amulor import handover, io
-from amulor.cli import _arguments, _output, demo, devices, main
+from amulor.cli import devices, main
 from amulor.cli import explain as explain_command
 from amulor.cli import view as view_command
 from amulor.cli import warm_up as warm_up_command
 from amulor.survey import Survey
 
+pytestmark = pytest.mark.usefixtures("next_commands")
+
+INPUTS = ("a.nc", "b.nc", "s.toml", "m.ply", "c.toml", "x.csv")
+
 Named: Any = SimpleNamespace
-
-
-@pytest.fixture(autouse=True)
-def _next_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Print the next command in a pipe, too."""
-    for module in (_output, demo):
-        monkeypatch.setattr(
-            module, "print_next", lambda command: print(f"next: {command}")
-        )
-
-
-@pytest.fixture
-def inputs(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with empty inputs, which are not looked into."""
-    for name in ("a.nc", "b.nc", "s.toml", "m.ply", "c.toml", "x.csv"):
-        (here / name).touch()
-    monkeypatch.setattr(_arguments, "check_small", lambda path: None)
-    return here
 
 
 def beam(**changes: Any) -> Any:
@@ -181,7 +167,7 @@ def test_names_are_listed_by_kind(monkeypatch, capsys) -> None:
 
 @pytest.fixture
 def pages(inputs: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return what is shown and served."""
+    """Return the pages that are shown and served."""
     from amulor.view import page
     from amulor.view.page import space
 

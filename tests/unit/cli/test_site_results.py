@@ -126,7 +126,7 @@ def epochs(*names: str) -> Any:
 
 @pytest.fixture
 def compared(monkeypatch: pytest.MonkeyPatch, here: Path) -> list[Any]:
-    """Return what was compared and written; six places, four of them comparable."""
+    """Return the calls of a comparison of six places, four of them comparable."""
     calls: list[Any] = []
     change = Named(
         value=np.array([1.0, np.nan, 2.0, 3.0, np.nan, 4.0]),
@@ -238,7 +238,7 @@ def piece(
 
 @pytest.fixture
 def merged(monkeypatch: pytest.MonkeyPatch, here: Path) -> list[Any]:
-    """Return what is merged and written; five points of two scans."""
+    """Return the calls of a merging of five points of two scans."""
     calls: list[Any] = []
     pieces = [
         piece([1, 0, 2], [False, True, True], [0, 1, 1]),

@@ -50,7 +50,7 @@ def test_a_vehicle_has_distances_of_rows_columns_and_readings(printed) -> None:
 
 
 def expected(**changes: Any) -> Any:
-    """Return what is expected of two frequencies and channels."""
+    """Return the expected errors of two frequencies and channels."""
     fields: dict[str, Any] = {
         "hit": 0.75, "hit_each": (0.75,),
         "signal_to_noise": ((123.4, 5.0), (4.99, 40.0)),

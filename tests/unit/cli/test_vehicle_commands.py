@@ -12,29 +12,14 @@ import pytest
 import xarray as xr
 
 from amulor import io
-from amulor.cli import _arguments, _output, main, patch_test, trajectory, watch
-from amulor.cli import simulate as simulate_command
+from amulor.cli import main, patch_test, trajectory, watch
 from amulor.platform import Trajectory
 
+pytestmark = pytest.mark.usefixtures("next_commands")
+
+INPUTS = ("a.nc", "b.nc", "a.npz", "s.toml", "t.csv", "u.csv", "m.toml")
+
 Named: Any = SimpleNamespace
-
-
-@pytest.fixture(autouse=True)
-def _next_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Print the next command in a pipe, too."""
-    for module in (_output, patch_test, simulate_command):
-        monkeypatch.setattr(
-            module, "print_next", lambda command: print(f"next: {command}")
-        )
-
-
-@pytest.fixture
-def inputs(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with empty inputs, which are not looked into."""
-    for name in ("a.nc", "b.nc", "a.npz", "s.toml", "t.csv", "u.csv", "m.toml"):
-        (here / name).touch()
-    monkeypatch.setattr(_arguments, "check_small", lambda path: None)
-    return here
 
 
 def track(**changes: Any) -> Trajectory:
@@ -244,7 +229,7 @@ PLATFORM = ["calibrate", "platform", "a.nc", "b.nc", "--trajectory", "t.csv", "-
 
 @pytest.fixture
 def lines_of(inputs: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return what lines are compared with, and the files of the result."""
+    """Return the inputs of a comparison of lines, and the files of its result."""
     calls: list[Any] = []
 
     def compare(images: Any, **more: Any) -> Any:
@@ -409,7 +394,7 @@ SIMULATE = ["simulate", "s.toml", "-o", "o.nc"]
 
 @pytest.fixture
 def simulated(inputs: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Return what is simulated, and how."""
+    """Return the surveys that are simulated, with their options."""
     calls: dict[str, Any] = {"reason": "", "tracks": [], "rows": []}
     described = Named(
         platform=None, targets=[1], instrument=Named(modulation_frequencies=(1.0,))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from amulor.design import Goal
 from amulor.survey import Survey
 
 SURVEY = """
@@ -118,3 +119,8 @@ def tank() -> Survey:
 def goal_text() -> str:
     """Return a goal file with a few of everything."""
     return GOAL
+
+
+@pytest.fixture(scope="session")
+def goal(goal_text: str) -> Goal:
+    return Goal.from_text(goal_text)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from goal_parts import scores, with_laser, with_parts
 from numpy.testing import assert_allclose
 
 from amulor.design import Goal
@@ -17,37 +18,12 @@ from amulor.design.candidates import first_choice, scan_time
 from amulor.design.evaluate import TERMS
 from amulor.design.goal import LengthBox, Modulation
 from amulor.design.requirements import Requirement, table
-from amulor.design.scores import Score
 from amulor.design.search import Candidate, SearchResult
 from amulor.design.sensitivity import Sensitivity, Uncertain
 from amulor.survey import Survey
 
 #: The package has a function of the same name.
 recommend: Any = importlib.import_module("amulor.design.recommend")
-
-
-@pytest.fixture(scope="module")
-def goal(goal_text: str) -> Goal:
-    return Goal.from_text(goal_text)
-
-
-def with_parts(goal: Goal, **changes: Any) -> Goal:
-    parts = goal.components.model_copy(update=changes)
-    return goal.model_copy(update={"components": parts})
-
-
-def with_laser(goal: Goal, **changes: Any) -> Goal:
-    laser = goal.components.lasers[0].model_copy(update=changes)
-    return with_parts(goal, lasers=(laser,))
-
-
-def scores(count: int = 1, **changed: Any) -> Score:
-    values: dict[str, Any] = {
-        "error": np.full((count, 2), 1e-3), "wrong": np.zeros((count, 2)),
-        **{name: np.zeros(count) for name in
-           ("output", "validity", "time", "rows", "smear", "cost")},
-    }  # fmt: skip
-    return Score(**values | changed)
 
 
 def sides(goal: Goal, **changes: Any) -> set[tuple[str, str]]:

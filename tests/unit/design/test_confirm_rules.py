@@ -19,11 +19,6 @@ from amulor.survey import Survey
 confirm: Any = importlib.import_module("amulor.design.confirm")
 
 
-@pytest.fixture(scope="module")
-def goal(goal_text: str) -> Goal:
-    return Goal.from_text(goal_text)
-
-
 def followed(
     survey: Survey, monkeypatch: pytest.MonkeyPatch, **options: Any
 ) -> tuple[Any, dict[str, Any], list[Any]]:

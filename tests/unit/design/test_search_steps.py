@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from goal_parts import with_laser, with_parts
 from numpy.testing import assert_allclose
 
 from amulor.design import Goal, search
@@ -24,21 +25,6 @@ from amulor.design.scores import Grid, Score, grid_of, merits
 from amulor.design.search import Candidate
 
 F = (15e6, 34e6, 52e6, 75e6, 120e6)
-
-
-@pytest.fixture(scope="module")
-def goal(goal_text: str) -> Goal:
-    return Goal.from_text(goal_text)
-
-
-def with_parts(goal: Goal, **changes: Any) -> Goal:
-    parts = goal.components.model_copy(update=changes)
-    return goal.model_copy(update={"components": parts})
-
-
-def with_laser(goal: Goal, **changes: Any) -> Goal:
-    laser = goal.components.lasers[0].model_copy(update=changes)
-    return with_parts(goal, lasers=(laser,))
 
 
 def scores(

@@ -23,11 +23,6 @@ from amulor.survey import Survey, water_properties
 
 
 @pytest.fixture(scope="module")
-def goal(goal_text: str) -> Goal:
-    return Goal.from_text(goal_text)
-
-
-@pytest.fixture(scope="module")
 def plain(goal: Goal) -> Score:
     """Return the score of one candidate."""
     chosen = first_choice(goal)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from goal_parts import with_parts
 
 from amulor.design import Goal, search
 from amulor.design.candidates import Parameters, cost_of, first_choice
@@ -84,11 +85,6 @@ def goal(goal_text: str) -> Goal:
     return with_parts(goal, lasers=(laser, blue)).model_copy(
         update={"distances": (1.0, 1.5, 2.0, 2.5, 3.0)}
     )
-
-
-def with_parts(goal: Goal, **changes: Any) -> Goal:
-    parts = goal.components.model_copy(update=changes)
-    return goal.model_copy(update={"components": parts})
 
 
 def test_a_search_finds_the_best_of_all_pairs(goal: Goal, formula: Any) -> None:

@@ -277,7 +277,7 @@ def test_contours_nearer_than_four_errors_are_doubted(interval, doubtful) -> Non
 
 
 def test_contours_of_unknown_errors_are_not_doubted() -> None:
-    """Where no cell has an uncertainty, none is compared with."""
+    """Cells without an uncertainty have no limit to compare with."""
     raster = raster_of(uncertainty=np.full((2, 2), np.nan))
     order = Order(product="contours", scale=1.0)
     drawn = drawings.contour_product(raster, [contour(1.0, 0.1)], 1e-3, order, ("", []))

@@ -290,7 +290,7 @@ def _outcome(function, changes):
 
 @cache
 def _ranges():
-    """Return what arguments must be, by argument, or by function and argument."""
+    """Return the ranges of arguments, by argument, or by function and argument."""
     file = Path(__file__).parents[2] / "reference" / "argument_ranges.txt"
     lines = file.read_text("utf-8").splitlines()
     return dict(line.split(": ", 1) for line in lines if not line.startswith("#"))

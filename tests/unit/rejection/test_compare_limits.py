@@ -9,21 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from compared_methods import row
 from numpy.testing import assert_array_equal
 
 from amulor.rejection import Caution, Comparison, Row
 
 #: The package has a function of the same name.
 module: Any = importlib.import_module("amulor.rejection.compare")
-
-
-def row(method: str = "first", **changed: Any) -> Row:
-    """Return a row of 5 mm of error, all of whose pixels are trusted."""
-    values: dict[str, Any] = {
-        "method": method, "polarization": "VV", "bias": 3e-3, "noise": 4e-3,
-        "usable": 1.0, "flagged": 0.0, "trusted": 1.0,
-    }  # fmt: skip
-    return Row(**values | changed)
 
 
 def scaled(error: float, **changed: Any) -> Row:

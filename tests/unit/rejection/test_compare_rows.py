@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from compared_methods import method_of, returning
 from numpy.testing import assert_array_equal
 
 from amulor import rejection
 from amulor.cube import QualityFlag, WaterResidualCause
 from amulor.rejection import Caution
-from amulor.rejection.methods import Method
 
 Make = Callable[..., xr.Dataset]
 #: The package has a function of the same name.
@@ -34,17 +34,6 @@ def cube(by_hand: Make) -> xr.Dataset:
 @pytest.fixture(scope="module")
 def target(cube: xr.Dataset) -> xr.Dataset:
     return rejection.keep_water(cube)
-
-
-def method_of(name: str, function: Any, **declared: Any) -> Method:
-    return Method(name=name, function=function, **declared)
-
-
-def returning(target: xr.Dataset) -> Callable[..., xr.Dataset]:
-    def run(cube: xr.Dataset, *, interval: Any = None) -> xr.Dataset:
-        return target
-
-    return run
 
 
 def evaluated(

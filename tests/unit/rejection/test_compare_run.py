@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from compared_methods import method_of, returning, row
 
 from amulor import rejection
 from amulor.cube import tiles
@@ -43,30 +44,11 @@ def target(cube: xr.Dataset) -> xr.Dataset:
     return rejection.keep_water(cube)
 
 
-def method_of(name: str, function: Any, **declared: Any) -> Method:
-    return Method(name=name, function=function, **declared)
-
-
-def returning(target: xr.Dataset) -> Callable[..., xr.Dataset]:
-    def run(cube: xr.Dataset, *, interval: Any = None) -> xr.Dataset:
-        return target
-
-    return run
-
-
 def raising(error: Exception) -> Callable[..., xr.Dataset]:
     def run(cube: xr.Dataset, *, interval: Any = None) -> xr.Dataset:
         raise error
 
     return run
-
-
-def row(method: str, **changed: Any) -> Row:
-    values: dict[str, Any] = {
-        "method": method, "polarization": "VV", "bias": 3e-3, "noise": 4e-3,
-        "usable": 1.0, "flagged": 0.0, "trusted": 1.0,
-    }  # fmt: skip
-    return Row(**values | changed)
 
 
 def test_a_method_that_does_not_suit_the_scan_has_a_row_with_the_reason(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.constants import speed_of_light
+from signal_chains import FREQUENCIES, chain
 
 from amulor.simulation import instrument_errors, lock_in
 from amulor.simulation.geometry import Setup
@@ -15,30 +16,8 @@ from amulor.simulation.instrument_errors import Chain
 from amulor.simulation.lock_in import Light
 from amulor.survey import Survey
 
-FREQUENCIES = np.array([20e6, 60e6])
 #: Four readings of 0.125 s in each pixel.
 STEP = 0.5
-
-
-@pytest.fixture(scope="module")
-def survey(plate: Survey) -> Survey:
-    return plate.with_(
-        {
-            "instrument.modulation_frequencies": list(FREQUENCIES),
-            "instrument.polarizations": ["VV", "VH"],
-            "scan.columns": 6,
-            "scan.rows": 4,
-            "scan.order": "serpentine",
-            "scan.open_water": {"columns": 3, "rows": 2, "repeats": 5},
-        }
-    )
-
-
-def chain(survey: Survey, seed: int = 7, **errors: Any) -> Chain:
-    stated = {name: dict(each) for name, each in errors.items()}
-    found = Chain.of(Setup(survey.with_({"instrument.errors": stated})), seed)
-    assert found is not None
-    return found
 
 
 def light(*shape: int, seed: int = 1) -> Light:

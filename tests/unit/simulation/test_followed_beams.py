@@ -52,7 +52,7 @@ def test_a_beam_starts_behind_its_standoff_and_ends_at_its_depth() -> None:
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
-    """Return what photon transport is called with."""
+    """Return the calls of photon transport."""
     found: list[tuple[Any, ...]] = []
 
     def simulate(*arguments: Any, **options: Any) -> Tally:

@@ -89,7 +89,7 @@ class Fitted:
 
 
 def fit(survey: Survey, monkeypatch: pytest.MonkeyPatch, motion: Any = None) -> Any:
-    """Return what a model is fitted to."""
+    """Return the options and the view of a fit."""
     asked: dict[str, Any] = {}
 
     def fitted(model: Any, setup: Any, view: Any, **options: Any) -> str:

@@ -53,7 +53,7 @@ LAYERED = {
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return what photon transport is called with."""
+    """Return the calls of photon transport."""
     calls: list[Any] = []
 
     def simulate(*arguments: Any, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What a registration reports beside its poses, for poses written by hand."""
+"""Reports of a registration beside its poses, for poses written by hand."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def test_a_run_states_all_that_its_batches_depend_on():
 
 @pytest.fixture
 def loop(monkeypatch):
-    """Return what the compiled loop is called with; it reaches 3 reflections."""
+    """Return the calls of the compiled loop; it reaches 3 reflections."""
     calls = []
 
     def run_batch(*arguments):

@@ -6,44 +6,23 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from layered_water import EVEN, PEAKED, TILTED, layers, plate
 from numpy.testing import assert_allclose
 
-from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.transport import (
     DiscReceiver,
     Layer,
     Medium,
-    PlaneTarget,
     ScatteringMatrix,
     Source,
 )
 from amulor.transport._checks import above, at_least, at_most, axes_of, unit_vector
-
-PEAKED = henyey_greenstein_function(asymmetry=0.9)
-EVEN = isotropic()
-TILTED = np.array([0.48, 0.6, 0.64])
 
 
 def water():
     return Medium.homogeneous(
         absorption=0.2, scattering=0.8, phase_function=PEAKED, group_index=1.33
     )
-
-
-def layers(*thickness, top=-1.0):
-    kinds = (0.2, 0.4, PEAKED), (0.0, 0.0, EVEN), (0.3, 0.1, EVEN)
-    return Medium.layered(
-        [
-            Layer(absorption=a, scattering=b, phase_function=p, thickness=t)
-            for (a, b, p), t in zip(kinds, thickness, strict=False)
-        ],
-        group_index=1.33,
-        top=top,
-    )
-
-
-def plate(**changes):
-    return PlaneTarget(**({"position": (0, 0, 2), "reflectance": 0.5} | changes))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from amulor.transport._runs import random_state
 
 @pytest.fixture
 def slab_loop(monkeypatch):
-    """Return what the compiled loop of plane layers is called with."""
+    """Return the calls of the compiled loop of plane layers."""
     calls = []
     monkeypatch.setattr(
         slab_kernels, "run_slab", lambda *arguments: calls.append(arguments)

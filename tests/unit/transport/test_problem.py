@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from layered_water import EVEN, PEAKED, TILTED, layers, plate
 from numpy.testing import assert_allclose
 
-from amulor.optics.phase_functions.models import henyey_greenstein_function, isotropic
 from amulor.transport import (
     DiscReceiver,
     GaussianReceiver,
     Layer,
     Medium,
     MeshTarget,
-    PlaneTarget,
     ScatteringMatrix,
     Source,
 )
 from amulor.transport._checks import axes_of
 from amulor.transport._problem import Problem, water_tables
 
-PEAKED = henyey_greenstein_function(asymmetry=0.9)
-EVEN = isotropic()
-TILTED = np.array([0.48, 0.6, 0.64])
 DISC = DiscReceiver(radius=0.05, acceptance_angle=0.1)
 
 
@@ -39,22 +35,6 @@ def problem(**changes):
         "target": None,
     } | changes
     return Problem(**parts)
-
-
-def layers(*thickness, top=-1.0):
-    kinds = (0.2, 0.4, PEAKED), (0.0, 0.0, EVEN), (0.3, 0.1, EVEN)
-    return Medium.layered(
-        [
-            Layer(absorption=a, scattering=b, phase_function=p, thickness=t)
-            for (a, b, p), t in zip(kinds, thickness, strict=False)
-        ],
-        group_index=1.33,
-        top=top,
-    )
-
-
-def plate(**changes):
-    return PlaneTarget(**({"position": (0, 0, 2), "reflectance": 0.5} | changes))
 
 
 def test_tables_of_the_water_are_shared_by_layers_of_one_function():
