@@ -284,3 +284,13 @@ def test_a_step_is_that_of_a_weighted_fit_of_two_lines_with_one_slope() -> None:
         expected = abs(fit[2]) / np.sqrt(excess * inverse[2, 2])
         assert scores[column] == pytest.approx(expected, rel=1e-6), column
     assert scores.argmax() == 5
+
+
+def test_steps_do_not_depend_on_how_far_away_the_scene_is() -> None:
+    rng = np.random.default_rng(7)
+    # Multiples of 2^-20 m, which are exact 2^30 m farther away, too.
+    distance = np.round(2**20 * rng.normal(2.0, 1e-3, (40, 12))) / 2**20
+    variance = np.full(distance.shape, SIGMA**2)
+    near = _step_scores(distance, variance, 2)
+    assert near.max() > 2
+    assert_allclose(_step_scores(distance + 2**30, variance, 2), near, atol=1e-3)

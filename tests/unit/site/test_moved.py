@@ -320,3 +320,14 @@ def test_the_ground_around_an_object_has_thirty_points(
         assert not found[0, :count].any()
     else:
         assert found is None
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_a_turn_counts_as_the_shift_of_points_at_the_stated_distance(axis: int) -> None:
+    length, unsure = 0.4, 2.0
+    # Six times what is unsure, in m^-2, or per square of a turn of 1 m at the distance.
+    limit = 6 * unsure * (1.0 if axis < 3 else length**2)
+    for factor, free in ((0.999, 1), (1.001, 0)):
+        matrix = np.diag(np.full(6, 1e6))
+        matrix[axis, axis] = factor * limit
+        assert len(held_directions(matrix, unsure=unsure, length=length)[1]) == free

@@ -242,6 +242,7 @@ def test_calibration_spheres_scatter_their_cross_section_times_their_number():
         ({"wavelength": 0.0}, "wavelength must be finite and above 0"),
         ({"medium_index": 0.0}, "medium_index must be finite and above 0"),
         ({"angle": [0.0, 1.0, 2.0]}, "rise from 0 to pi"),
+        ({"angle": [0.0, 2.0, 1.0, np.pi]}, "rise from 0 to pi"),
     ],
 )
 def test_what_is_no_suspension_is_refused(arguments, text):

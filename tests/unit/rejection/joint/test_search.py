@@ -347,3 +347,15 @@ def test_two_surfaces_are_chosen_beyond_their_limits(
     cleaned = _single(cost + beyond)
     pair: Any = SimpleNamespace(cost=np.array([cost]))
     assert are_two(pair, single, cleaned, np.array([1]))[0] == two
+
+
+@pytest.mark.parametrize(("factor", "two"), [(0.999, True), (1.001, False)])
+def test_two_surfaces_with_a_parameter_for_each_sample_have_one_degree_of_freedom(
+    factor: float, two: bool
+) -> None:
+    # Six outputs; each of two surfaces has a path and two amplitudes.
+    cost = factor * float(chi2.isf(1e-4, 1))
+    single = _single(cost + 100, channels=2, frequencies=1)
+    single.used[:] = 6
+    pair: Any = SimpleNamespace(cost=np.array([cost]))
+    assert are_two(pair, single, _single(cost + 1e3), np.array([1]))[0] == two

@@ -110,14 +110,17 @@ def test_a_wrong_wish_is_answered_in_words(
     assert words in answer.json()["error"]
 
 
-def test_a_map_takes_less_than_a_tenth_of_a_second_of_computing(
+def test_a_map_takes_less_than_ten_times_as_long_as_four_of_its_places(
     explorer: Explorer,
 ) -> None:
-    explorer.map({})
-    taken = []
-    for step in range(1, 6):
-        begun = time.process_time()
-        explorer.map({"baseline": 0.07 + 0.002 * step, "radius": 0.02 + 1e-4 * step})
-        taken.append(time.process_time() - begun)
-    # Of one core; the page adds 5 ms of drawing, see the test in a browser.
-    assert min(taken) < 0.08
+    corners = Explorer(explorer.survey, asked=explorer.asked)
+    corners.distance = corners.distance[[0, -1]]
+    corners.attenuation = corners.attenuation[[0, -1]]
+    taken: dict[Explorer, list[float]] = {explorer: [], corners: []}
+    for step in range(6):
+        for shown, times in taken.items():
+            begun = time.process_time()
+            shown.map({"baseline": 0.07 + 0.002 * step, "radius": 0.02 + 1e-4 * step})
+            times.append(time.process_time() - begun)
+    # A map has 264 times as many places; computed one after another, they would show.
+    assert min(taken[explorer]) < 10 * min(taken[corners])
