@@ -6,6 +6,7 @@ import moving_pass
 import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
+from scipy.spatial.transform import Rotation
 
 from amulor.errors import FormatError
 from amulor.io.navigation_logs import (
@@ -134,6 +135,29 @@ def test_geographic_positions_lie_where_geodesy_says(tmp_path):
     assert np.degrees(-np.arctan2(*forward[:2])) == pytest.approx(
         1.5 * np.sin(np.radians(44)), rel=1e-3
     )
+
+
+def test_quaternions_from_true_north_turn_by_the_convergence_like_headings(tmp_path):
+    heading, pitch, roll = np.radians([40.0, 12.0, -17.0])
+    turn = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_quat()
+    angles = ",".join(f"{np.degrees(value):.12f}" for value in (heading, pitch, roll))
+    numbers = ",".join(f"{value:.15f}" for value in turn)
+    rows = [f"{i},{44 + i / 3600:.9f},10.5,8,{angles},{numbers}" for i in range(5)]
+    path = _table(tmp_path, "t,la,lo,d,h,p,r,x,y,z,w", rows)
+    place = {"time": "t", "latitude": "la", "longitude": "lo", "down": "d"}
+    found = [
+        trajectory_from_table(
+            path, _map({**place, **names}, crs="EPSG:32632", heading_from="true")
+        ).at([2.0]).rotation[0]
+        for names in (
+            {"heading": "h", "pitch": "p", "roll": "r"},
+            {"qx": "x", "qy": "y", "qz": "z", "qw": "w"},
+        )
+    ]  # fmt: skip
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+    # By 1 degree, see above.
+    turned = moving_pass.attitude(heading, pitch, roll)
+    assert np.abs(found[1] - turned).max() > 0.01
 
 
 def test_files_of_amulor_hold_a_trajectory_to_the_bit(tmp_path):

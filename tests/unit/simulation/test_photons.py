@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from numpy.testing import assert_allclose
 
 from amulor import transport
 from amulor.cli import main
@@ -264,3 +265,42 @@ def test_air_before_the_water_absorbs_nothing() -> None:
     # Of 2 m there and back, 1 m is water each way.
     assert abs(echo(0.0, 0.3) / in_water) == pytest.approx(math.exp(-1.2), rel=0.04)
     assert abs(echo(1.0, 0.3) / in_air) == pytest.approx(math.exp(-0.6), rel=0.04)
+
+
+def test_water_ends_at_a_bright_target_or_at_a_dark_end(
+    plate: Survey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey = plate.with_({**WHOLE, "water.column_end": "2 m"})
+    setup = Setup(survey)
+    view = trace(setup).view
+    end = np.full(view.tilt.shape, 1.5)
+    end[0, 0], end[0, 1:3], end[1, 0] = np.inf, 2.0, 2.5
+    asked: list[tuple[float, list[float], str]] = []
+
+    def noted(
+        self, survey, water, view, points, frequency, reflectance, light
+    ) -> tuple[np.ndarray, np.ndarray]:
+        asked.append((reflectance, sorted(set(points[:, 3].tolist())), light))
+        shape = len(frequency), len(points)
+        return np.full(shape, 1 + reflectance, complex), np.full(shape, 0.01)
+
+    monkeypatch.setattr(PhotonModel, "_factor", noted)
+    options = {"survey": survey, "water": setup.water, "view": view, "end": end}
+    frequency = np.array(FREQUENCIES)[:, None, None]
+    value, error = PhotonModel().column_with_error(frequency, **options)
+    plain = SmallAngleModel().column(frequency, **options)
+    # The plate reflects 0.1.
+    assert asked == [(0.1, [1.5], "water"), (0.0, [2.0, 2.5], "water"),
+                     (0.0, [math.inf], "water")]  # fmt: skip
+    ratio = np.where(end == 1.5, 1.1, 1.0)
+    assert_allclose(value, ratio * plain, rtol=1e-12)
+    assert_allclose(error, 0.01 * abs(plain), rtol=1e-12)
+
+
+def test_what_a_model_has_found_is_no_part_of_its_text() -> None:
+    model = PhotonModel()
+    model._known["run"] = 1
+    assert model == PhotonModel()
+    assert "_known" not in repr(model)
+    with pytest.raises(TypeError, match="_known"):
+        PhotonModel(_known={})  # type: ignore[call-arg]

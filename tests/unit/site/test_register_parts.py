@@ -513,3 +513,14 @@ def test_directions_that_only_start_poses_determine_are_weak(
     assert_allclose(np.abs(turned.turn), [0.03, 0.0, 0.0], atol=1e-12)
     assert weak(result(1e-4, 1e-4, 0.03), spacing=0.119) != ()
     assert weak(result(1e-4, 1e-4, 0.03), spacing=0.121) == ()
+
+
+@pytest.mark.parametrize("finding", ["contradictions", "remarks", "unchecked", None])
+def test_scans_fit_that_register_without_any_finding(
+    finding: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: dict[str, Any] = {"contradictions": (), "remarks": (), "unchecked": ()}
+    if finding:
+        found[finding] = ("one",)
+    monkeypatch.setattr(register, "_registered", lambda *_: SimpleNamespace(**found))
+    assert register._fits(_site(), {}, {}) == (finding is None)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import io
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from amulor.view import terminal
 from amulor.view.page import Live
 
 NOW = datetime(2026, 5, 4, 12, 30)
+watch_module = importlib.import_module("amulor.cli.watch")
 
 
 def test_blocks_are_means_of_what_is_known() -> None:
@@ -173,3 +176,33 @@ def test_a_map_is_that_before_water_rejection_until_there_is_one(
 ) -> None:
     live = cast(Live, SimpleNamespace(now=lambda *_: np.array(after)))
     assert terminal.map_name(live, "VH", "range") == name
+
+
+def test_the_screen_is_drawn_anew_until_the_scan_is_finished(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    status = {"state": "running"}
+    followed = SimpleNamespace(status=status, looks=0)
+    drawn: list[object] = []
+
+    def look() -> None:
+        followed.looks += 1
+        status["state"] = "finished" if followed.looks == 3 else "running"
+
+    class Screen(contextlib.AbstractContextManager[Any]):
+        def __init__(self, first: object, **options: object) -> None:
+            drawn.append(first)
+
+        def update(self, picture: object, *, refresh: bool) -> None:
+            assert refresh
+            drawn.append(picture)
+
+        def __exit__(self, *error: object) -> None:
+            return None
+
+    followed.look = look
+    monkeypatch.setattr(watch_module, "_POLL", 0.0)
+    monkeypatch.setattr("rich.live.Live", Screen)
+    monkeypatch.setattr(terminal, "screen", lambda live, **_: f"look {live.looks}")
+    watch_module._on_screen(cast(Live, followed), "VV", "range", once=False)
+    assert drawn == ["look 0", "look 1", "look 2", "look 3"]

@@ -10,9 +10,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.testing import assert_allclose
 from starlette.testclient import TestClient
 from websockets import Origin
@@ -28,6 +31,7 @@ from amulor.acquisition.settings import Settings
 from amulor.errors import FormatError
 from amulor.survey import Survey
 from amulor.view import page
+from amulor.view.page import live as live_module
 from amulor.view.page import server
 from amulor.view.page.live import Live
 from amulor.view.page.progress import Change, Drift, Going, Progress, advice
@@ -463,3 +467,36 @@ def test_the_websocket_stays_open_beyond_the_limits_of_requests(
             assert socket.ping().wait(20)
             assert socket.close_code is None
     live.stop()
+
+
+def test_a_row_comes_with_the_water_and_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taken: dict[str, np.ndarray] = {}
+
+    def noted(row: xr.Dataset, signal: np.ndarray, ending: str) -> dict[str, object]:
+        taken[ending] = signal
+        return {}
+
+    monkeypatch.setattr(live_module, "quick_layers", noted)
+    measured = np.array([[3.0 + 4.0j, 1.0 - 1.0j]])
+    place = ("modulation_frequency", "row", "column")
+    water = xr.Dataset(
+        {
+            "water_in_phase": (place, np.array([[[0.5, 0.25]]])),
+            "water_quadrature": (place, np.array([[[2.0, -3.0]]])),
+        }
+    )
+    rows = {0: water, 1: water[[]], 2: None}
+    followed = SimpleNamespace(
+        recording=SimpleNamespace(one_row=lambda channel, row: rows[row]),
+        _progress=SimpleNamespace(row_signal=lambda channel, row: measured),
+    )
+    assert Live._quick(cast(Live, followed), "VV", 0) == {}
+    assert_allclose(taken.pop("_before"), measured)
+    assert_allclose(taken.pop(""), [[2.5 + 2.0j, 0.75 + 2.0j]])
+    Live._quick(cast(Live, followed), "VV", 1)
+    assert list(taken) == ["_before"]
+    taken.clear()
+    assert Live._quick(cast(Live, followed), "VV", 2) == {}
+    assert not taken
