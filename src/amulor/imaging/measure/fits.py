@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from amulor.errors import CubeError
+from amulor.imaging.common import own_variance
 from amulor.imaging.measure.points import Points, points_of
 
 Floats = NDArray[np.float64]
@@ -407,10 +408,17 @@ def points_in(
             f"the region has the shape {mask.shape}, the image "
             f"{image['slant_range'].shape}; they must agree"
         )
-    row, column = np.nonzero(mask & np.isfinite(image["slant_range"].values))
+    there = mask & np.isfinite(image["slant_range"].values)
+    row, column = np.nonzero(there & np.isfinite(own_variance(image)))
     if len(row) < fewest:
+        unknown = there.sum() - len(row)
         raise CubeError(
             f"{shape} needs at least {fewest} usable pixels, the region has {len(row)}"
+            + (
+                f"; in {unknown} more the noise of the range is unknown"
+                if unknown
+                else ""
+            )
         )
     step = int(np.ceil(np.sqrt(len(row) / most)))
     if step > 1:

@@ -252,6 +252,14 @@ def test_regions_are_thinned_evenly_and_checked() -> None:
     assert str(caught.value) == (
         "the region has the shape (2, 11), the image (9, 11); they must agree"
     )
+    image["slant_range_uncertainty"].values[:, 4:] = np.nan
+    with pytest.raises(CubeError) as caught:
+        points_in(image, everything, fewest=36, shape="a plane")
+    assert str(caught.value) == (
+        "a plane needs at least 36 usable pixels, the region has 35; in 63 more the "
+        "noise of the range is unknown"
+    )
+    assert len(points_in(image, everything, fewest=4, shape="a plane").position) == 35
 
 
 def test_pixels_that_are_no_points_are_one_line() -> None:
