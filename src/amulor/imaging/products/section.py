@@ -151,19 +151,20 @@ def _crossed(
 def _with_ends(
     values: Floats, neighbours: NDArray[np.intp], length: float
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Section points and connections, with points added at both ends of the line."""
-    points, joints, many = [values], [neighbours], values.shape[1]
+    """Section points and connections, cut off at both ends of the line."""
     for end in (0.0, length):
-        before, after = values[0][neighbours].T
-        passing = np.flatnonzero((before < end) != (after < end))
-        share = (end - before[passing]) / (after[passing] - before[passing])
+        off = values[0][neighbours] - end
+        passing = off[:, 0] * off[:, 1] < 0
         i, j = neighbours[passing].T
-        points.append(values[:, i] * (1 - share) + values[:, j] * share)
-        numbers = many + np.arange(len(passing))
-        many += len(passing)
-        within = (values[0][i] < end) == (end > 0)
-        joints.append(np.stack([np.where(within, i, j), numbers], axis=1))
-    return np.concatenate(points, axis=1), np.concatenate(joints)
+        share = off[passing, 0] / (off[passing, 0] - off[passing, 1])
+        added = values[:, i] * (1 - share) + values[:, j] * share
+        added[0] = end
+        numbers = values.shape[1] + np.arange(len(i))[:, None]
+        outside = off[passing] < 0 if end == 0 else off[passing] > 0
+        neighbours = neighbours.copy()
+        neighbours[passing] = np.where(outside, numbers, neighbours[passing])
+        values = np.concatenate([values, added], axis=1)
+    return values, neighbours
 
 
 def _pieces(

@@ -19,11 +19,28 @@ def test_a_section_begins_and_ends_at_the_ends_of_its_line() -> None:
     assert_allclose(points[:, :5], values)
     assert_allclose(points[:, 5], [0, 1, 5])
     assert_allclose(points[:, 6], [6, 7, 4])
-    # Each end hangs on the point within.
-    assert joints.tolist() == [*chain.tolist(), [1, 5], [3, 6]]
+    # Each end takes the place of the point beyond.
+    assert joints.tolist() == [[5, 1], [1, 2], [3, 2], [3, 6]]
     back, joined = _with_ends(values, chain[:, ::-1], 6.0)
     assert_allclose(back[:, 5:], points[:, 5:])
-    assert joined[4:].tolist() == [[1, 5], [3, 6]]
+    assert joined.tolist() == joints[:, ::-1].tolist()
+
+
+def test_a_line_within_one_triangle_has_two_points() -> None:
+    points, joints = _with_ends(np.array([[9.0, -1.0]]), np.array([[0, 1]]), 6.0)
+    assert_allclose(points, [[9, -1, 0, 6]])
+    assert joints.tolist() == [[3, 2]]
+
+
+def test_an_end_on_an_edge_is_the_point_of_that_edge() -> None:
+    values = np.array([[-1.0, 0, 2, 6, 7]])
+    chain = np.array([[0, 1], [1, 2], [2, 3], [3, 4]])
+    points, joints = _with_ends(values, chain, 6.0)
+    assert points.tolist() == values.tolist()
+    inside = (values[0] >= 0) & (values[0] <= 6)
+    order, piece = _pieces(joints, inside, values[0])
+    assert order.tolist() == [1, 2, 3]
+    assert piece.tolist() == [0, 0, 0]
 
 
 def test_pieces_are_in_the_order_of_their_distance_and_closed_where_they_meet() -> None:
