@@ -628,12 +628,18 @@ def _table(
 def _table_of(
     frequency: float, amplitudes: Floats, phases: Floats, uncertainties: Floats
 ) -> FrequencyCalibration:
+    """Return a calibration by rising amplitude, with the mean of equal amplitudes."""
     order = np.argsort(amplitudes)
+    rising, place = np.unique(amplitudes, return_inverse=True)
+
+    def averaged(values: Floats) -> tuple[float, ...]:
+        return tuple((np.bincount(place[order], values) / np.bincount(place)).tolist())
+
     return FrequencyCalibration(
         modulation_frequency=frequency,
-        amplitudes=tuple(amplitudes[order].tolist()),
-        phases=tuple(np.unwrap(phases[order]).tolist()),
-        phase_uncertainties=tuple(uncertainties[order].tolist()),
+        amplitudes=tuple(rising.tolist()),
+        phases=averaged(np.unwrap(phases[order])),
+        phase_uncertainties=averaged(uncertainties[order]),
     )
 
 

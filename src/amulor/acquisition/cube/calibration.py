@@ -40,6 +40,8 @@ Complex = NDArray[np.complex128]
 _SAME_FREQUENCY = 1e-3
 #: Bit of `user_sample_flag`: the amplitude is outside of the calibration.
 UNCALIBRATED = 32
+#: Cross-talk of a channel is smaller [1].
+MOST_CROSSTALK = 0.5
 
 
 class FrequencyCalibration(Description):
@@ -192,7 +194,7 @@ class ChannelResponse(Description):
     """Real and imaginary part of the gain relative to the first channel [1]."""
     gain_uncertainty: Annotated[float, Field(ge=0)]
     """Standard uncertainty of each of the two [1]."""
-    crosstalk: Annotated[float, Field(gt=-0.5, lt=0.5)]
+    crosstalk: Annotated[float, Field(gt=-MOST_CROSSTALK, lt=MOST_CROSSTALK)]
     """Response to the orthogonal polarization, divided by that to the polarization of
     the channel [1]."""
     crosstalk_uncertainty: Annotated[float, Field(ge=0)]

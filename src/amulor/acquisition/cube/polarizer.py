@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 
 from amulor import cube as cubes
 from amulor.acquisition.cube.calibrate import applied, measured_on
-from amulor.acquisition.cube.calibration import Calibration, ChannelResponse
+from amulor.acquisition.cube.calibration import (
+    MOST_CROSSTALK,
+    Calibration,
+    ChannelResponse,
+)
 from amulor.errors import CubeError
 
 Floats = NDArray[np.float64]
@@ -51,7 +55,8 @@ def from_polarizer(
     ------
     CubeError
         If a cube is of another level, the channels are not such a pair, or the angles
-        are too few or leave a gap of more than 60 degrees.
+        are too few or leave a gap of more than 60 degrees, or if the cross-talk is not
+        below 0.5, as of light that is lost in noise.
     ValueError
         If the numbers of cubes and angles differ.
 
@@ -111,6 +116,15 @@ def from_polarizer(
     shares = [_shares(cube) for cube in recordings]
     share, sigma = (np.array([part[k] for part in shares]) for k in (0, 1))
     fit = _fit(angle, share, sigma)
+    for name, found, error in zip(
+        names, fit.crosstalk, fit.crosstalk_uncertainty, strict=True
+    ):
+        if not abs(found) < MOST_CROSSTALK:
+            raise CubeError(
+                f"the cubes through the polarizer give {name} a cross-talk of "
+                f"{found:.2g} with an uncertainty of {error:.2g}; needed is less than "
+                f"{MOST_CROSSTALK:g}: check the angles, or record stronger light"
+            )
     entries = []
     for number, frequency in enumerate(first["modulation_frequency"].values):
         gains = (1.0 + 0j, 0.0), (fit.gain[number], fit.gain_uncertainty[number])
@@ -144,7 +158,9 @@ def _shares(cube: xr.Dataset) -> tuple[Complex, Floats]:
     """Return the share of the first channel in the sum of both, by frequency.
 
     With the standard error of each of its components. Both channels have the same light
-    in each pixel, so that only the rest is an error.
+    in each pixel, so that only the rest is an error. Squares of noise, which has the
+    stated ratio of both channels, are no light: they are the smallest eigenvalue of the
+    products of both channels.
     """
     signal = cube.amulor.signal.values
     signal = signal.reshape(*signal.shape[:2], -1)
@@ -154,12 +170,22 @@ def _shares(cube: xr.Dataset) -> tuple[Complex, Floats]:
         raise CubeError(
             "a cube through the polarizer has fewer than two pixels with both channels"
         )
-    first, second = (np.where(usable, signal[:, k], 0) for k in (0, 1))
-    total = first + second
-    power = np.sum(np.abs(total) ** 2, axis=1)
-    share = np.sum(total.conj() * first, axis=1) / power
-    rest = np.abs(first - share[:, None] * total) ** 2
-    return share, np.sqrt(rest.sum(axis=1) / (2 * (count - 1)) / power)
+    seen = np.where(usable[:, None], signal, 0)
+    stated = np.hypot(
+        cube["in_phase_uncertainty"].values, cube["quadrature_uncertainty"].values
+    )
+    noise = np.sqrt(np.nanmean(stated.reshape(signal.shape) ** 2, axis=2))
+    noise = noise / noise[:, :1] if np.all(noise > 0) else np.ones(noise.shape)
+    products = (seen @ seen.conj().swapaxes(1, 2)) / (
+        noise[:, :, None] * noise[:, None]
+    )
+    least = np.linalg.eigvalsh(products)[:, :1]
+    products -= least[:, :, None] * np.eye(2)
+    light = noise * (products @ noise[:, :, None])[:, :, 0]
+    power = light.sum(axis=1)
+    share = light[:, 0] / power
+    rest = np.abs(seen[:, 0] - share[:, None] * seen.sum(axis=1)) ** 2
+    return share, np.sqrt(rest.sum(axis=1) / (2 * (count - 1)) / power.real)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +221,11 @@ def _fit(angle: Floats, share: Complex, sigma: Floats) -> _Fit:
             rest,
             [start, 0.0, 0.0, 0.0, *np.ones(count), *np.zeros(count)],
             x_scale="jac",
+            # Above 1 the analyzers are exchanged, with the same shares.
+            bounds=(
+                [-np.inf] * 2 + [-1.0] * 2 + [-np.inf] * 2 * count,
+                [np.inf] * 2 + [1.0] * 2 + [np.inf] * 2 * count,
+            ),
         )
         for start in np.unique(np.mod(angle, np.pi))
     ]

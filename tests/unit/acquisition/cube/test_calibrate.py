@@ -222,6 +222,22 @@ def test_filters_tell_leakage_from_walk(clear, leak) -> None:
         assert abs(entry.phases[-1] - zero) < 4.5 * entry.phase_uncertainties[-1]
 
 
+def test_plates_of_equal_strength_share_one_entry(clear) -> None:
+    plate = plate_at(clear, 1.5)
+    once = from_plates([plate], distance=1.5)
+    assert from_plates([plate, plate], distance=1.5).frequencies == once.frequencies
+    densities = [0.0, 0.5, 0.5, 1.0]
+    plates = [
+        plate_at(clear, 1.5, power=10**-density, seed=seed)
+        for seed, density in enumerate(densities)
+    ]
+    for entry in from_plates(plates, distance=1.5, densities=densities).frequencies:
+        assert_allclose(
+            np.log10(np.divide(entry.amplitudes[1:], entry.amplitudes[:-1])), 0.5
+        )
+        assert len(entry.phases) == len(entry.phase_uncertainties) == 3
+
+
 def test_leakage_by_filters_is_subtracted_from_further_distances(clear) -> None:
     densities, distances = [0.0, 0.5, 1.0, 0.0, 0.0], [1.2, 1.2, 1.2, 1.6, 2.0]
 

@@ -210,9 +210,11 @@ def test_the_share_of_a_channel_is_that_of_all_pixels() -> None:
     found, error = polarizer._shares(cube)
     use = slice(0, 3)
     total = (first + second)[use]
-    power = (np.abs(total) ** 2).sum()
+    # Equal noise of both: the line of least distances in the plane of both channels.
+    left, sizes, _ = np.linalg.svd(np.stack([first[use], second[use]]))
+    power = (sizes[0] ** 2 - sizes[1] ** 2) * abs(left[:, 0].sum()) ** 2
     for k, part in enumerate((first[use], second[use])):
-        expected = (total.conj() * part).sum() / power
+        expected = left[k, 0] / left[:, 0].sum()
         assert found[k] == pytest.approx(expected)
         rest = (np.abs(part - expected * total) ** 2).sum()
         # Each of two components, of three pixels less one.

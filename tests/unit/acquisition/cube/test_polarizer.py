@@ -47,10 +47,13 @@ def response(angle: float) -> np.ndarray:
 def outputs(cube: xr.Dataset, signal: np.ndarray, noise: float, seed: int):
     rng = np.random.default_rng(seed)
     normal = noise * rng.standard_normal((2, *signal.shape))
+    stated = cube["in_phase"].copy(data=np.full(signal.shape, noise))
     return cube.assign(
         in_phase=cube["in_phase"].copy(data=signal.real + normal[0]),
         quadrature=cube["quadrature"].copy(data=signal.imag + normal[1]),
-    )
+        in_phase_uncertainty=stated,
+        quadrature_uncertainty=stated,
+    ).drop_vars("in_phase_quadrature_covariance", errors="ignore")
 
 
 def through(cube: xr.Dataset, angle: float, seed: int, *, noise: float = 1e-5):
@@ -89,6 +92,48 @@ def test_gain_and_crosstalk_are_those_of_the_analyzers(cube: xr.Dataset) -> None
     assert np.max(np.abs(pulls)) < 4.5
     # The larger error of the two components of the gain is stated for both.
     assert 0.6 < np.std(pulls) < 1.3
+
+
+@pytest.mark.slow
+def test_noise_of_a_tenth_of_the_light_is_no_crosstalk(cube: xr.Dataset) -> None:
+    true = PASSED[0], crosstalk(TURN, PASSED[1])
+    pulls = []
+    for seed in range(0, 250, 10):
+        entries = from_polarizer(
+            [through(cube, a, seed + k, noise=1e-3) for k, a in enumerate(ANGLES)],
+            angles=ANGLES,
+        ).channels
+        pulls += [
+            [
+                (e.crosstalk - t) / e.crosstalk_uncertainty
+                for e, t in zip(entries[:2], true, strict=True)
+            ]
+        ]
+    # Squares of the noise, if they counted as light, would add 1.5 to each mean.
+    assert np.abs(np.mean(pulls, axis=0)).max() < 4.5 / math.sqrt(len(pulls))
+    assert 0.6 < np.std(pulls) < 1.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [5e-3, 2e-2])
+def test_light_that_is_lost_in_noise_is_refused_or_uncertain(
+    cube: xr.Dataset, noise: float
+) -> None:
+    true = PASSED[0], crosstalk(TURN, PASSED[1])
+    refusals: list[str] = []
+    for seed in range(0, 100, 10):
+        recordings = [
+            through(cube, a, seed + k, noise=noise) for k, a in enumerate(ANGLES)
+        ]
+        try:
+            entries = from_polarizer(recordings, angles=ANGLES).channels
+        except CubeError as error:
+            refusals.append(str(error))
+        else:
+            for entry, t in zip(entries[:2], true, strict=True):
+                assert abs(entry.crosstalk - t) < 4.5 * entry.crosstalk_uncertainty
+    assert all("angles, or record stronger light" in one for one in refusals)
+    assert noise < 2e-2 or refusals
 
 
 def test_a_scan_has_the_light_of_both_polarizations(cube: xr.Dataset) -> None:
