@@ -542,7 +542,9 @@ def background(
 def _listener(host: str, port: int) -> socket.socket:
     """Return a listening socket; early requests wait in it for the server."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    # With its protocol named, asyncio sends each answer at once; else a browser that
+    # keeps its connection waits 40 ms for each.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((host, port))

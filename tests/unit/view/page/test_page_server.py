@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import time
 from collections.abc import Callable
+from contextlib import closing
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -440,3 +443,26 @@ def test_a_half_profile_has_the_diameters_of_a_cone() -> None:
     board = {"kind": "profile", "region": [0, 0, 1, 1]}
     with pytest.raises(CubeError, match="60"):
         measuring.measured(page.recording_of(image, name="cone.nc"), board)
+
+
+def test_answers_of_a_kept_connection_do_not_wait_for_the_browser(
+    target: xr.Dataset,
+) -> None:
+    with (
+        page.background(page.recording_of(target), token=TOKEN) as address,
+        closing(HTTPConnection(address.split("/")[2])) as link,
+    ):
+
+        def asked(*, anew: bool) -> float:
+            if anew:
+                link.close()
+            begun = time.monotonic()
+            link.request("GET", f"/{TOKEN}/scene")
+            assert link.getresponse().read()
+            return time.monotonic() - begun
+
+        # A system acknowledges the first answers of a connection at once, later ones
+        # after 40 ms: a server must not wait for that between head and content.
+        first = min(asked(anew=True) for _ in range(8))
+        later = min(asked(anew=False) for _ in range(8))
+    assert later < 5 * first
