@@ -5,8 +5,9 @@ BIN = .venv/bin
 JOBS ?= 2
 EXAMPLES = quick
 PYTEST = $(BIN)/python -m pytest --hypothesis-profile=$(EXAMPLES)
+PROCESSES = $(JOBS)
 # The tests of one file share fixtures, so one process runs them all.
-TOGETHER = -n $(JOBS) --dist loadfile --max-worker-restart=2
+TOGETHER = -n $(PROCESSES) --dist loadfile --max-worker-restart=2
 # What one run of the tests has compiled, the next takes up.
 export PYTHONDONTWRITEBYTECODE =
 .DEFAULT_GOAL := help
@@ -14,7 +15,7 @@ export PYTHONDONTWRITEBYTECODE =
 help:
 	@echo "make demo      install, scan a ladder in clear and milky water, write a report"
 	@echo "make test      install, then lint, type check, import contracts and tests"
-	@echo "make check     make test, then pages and parts of studies with more inputs"
+	@echo "make check     make test with pages, browsers and parts of studies (15 minutes)"
 	@echo "make study     the long statistical studies, and make test with more inputs (an hour)"
 	@echo "make coverage  make test, and which lines no test has run"
 	@echo "make docs      build the documentation site, docs/_build/html, and look for broken links"
@@ -79,10 +80,12 @@ lint: .venv/installed-test
 
 test: lint
 	$(NODE) --test --test-reporter=dot 'tests/javascript/*.test.js'
-	$(PYTEST) $(TOGETHER)
+	$(PYTEST) $(TOGETHER) $(ALSO)
 
+# Tests that wait for a browser or a command leave time for one process more.
+check: PROCESSES = $(shell expr $(JOBS) + 1)
+check: ALSO = -m 'not study'
 check: .venv/installed-docs test
-	$(PYTEST) --hypothesis-profile=thorough $(TOGETHER) -m 'slow and not study'
 
 study: EXAMPLES = thorough
 study: .venv/installed-test

@@ -99,7 +99,8 @@ LONGEST = frozenset((REFERENCE / "longest_tests.txt").read_text().splitlines())
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Leave long tests to `make check`, the longest to `make study`, order the rest.
 
-    Tests of the whole program run first. Short tests then fill the end of a run.
+    Tests of the whole program run first, then files with long tests. Files of short
+    tests fill the end of a run.
     """
     for item in items:
         if item.nodeid in LONG:
@@ -107,7 +108,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if LONGEST & {item.nodeid, item.nodeid.partition("::")[0]}:
             item.add_marker(pytest.mark.study)
     folders = ("tests/system/", "tests/physics/")
-    items.sort(key=lambda item: not item.nodeid.startswith(folders))
+    long = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(
+        key=lambda item: (not item.nodeid.startswith(folders), item.path not in long)
+    )
 
 
 @pytest.fixture(autouse=True)
