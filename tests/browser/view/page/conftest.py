@@ -26,9 +26,9 @@ FLAGS = (
 )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Return a Chromium with software graphics."""
+    """Return a Chromium with software graphics; tests after it may run event loops."""
     path = skips.need_browser()
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
