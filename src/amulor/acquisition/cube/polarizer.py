@@ -174,8 +174,9 @@ def _shares(cube: xr.Dataset) -> tuple[Complex, Floats]:
     stated = np.hypot(
         cube["in_phase_uncertainty"].values, cube["quadrature_uncertainty"].values
     )
-    noise = np.sqrt(np.nanmean(stated.reshape(signal.shape) ** 2, axis=2))
-    noise = noise / noise[:, :1] if np.all(noise > 0) else np.ones(noise.shape)
+    square = np.where(usable[:, None], stated.reshape(signal.shape) ** 2, 0).sum(axis=2)
+    known = np.all(square > 0)
+    noise = np.sqrt(square / square[:, :1]) if known else np.ones(square.shape)
     products = (seen @ seen.conj().swapaxes(1, 2)) / (
         noise[:, :, None] * noise[:, None]
     )

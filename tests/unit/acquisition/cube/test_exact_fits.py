@@ -219,6 +219,12 @@ def test_the_share_of_a_channel_is_that_of_all_pixels() -> None:
         rest = (np.abs(part - expected * total) ** 2).sum()
         # Each of two components, of three pixels less one.
         assert error[k] == pytest.approx(math.sqrt(rest / (2 * 2) / power))
+    # Without known errors of a channel both count as equal.
+    for unknown in (np.nan, 0.0):
+        less = cube.copy(deep=True)
+        less["in_phase_uncertainty"][0, 1] = unknown
+        less["quadrature_uncertainty"][0, 1] = unknown
+        assert_allclose(polarizer._shares(less)[0], found)
     two = samples(signal[:, :, None, 2:])
     with pytest.raises(CubeError) as caught:
         polarizer._shares(two)
