@@ -108,6 +108,27 @@ def test_a_window_of_one_reflectance_has_no_phase() -> None:
         assert (np.any(found.change != 0, axis=1) == has_phase).all()
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1e4, 1e8])
+def test_a_phase_is_known_however_uncertain_the_samples_across_the_line(
+    scale: float,
+) -> None:
+    signal, _, usable = windows(2)
+    reflectance = 1 + 0.2 * np.random.default_rng(0).choice([-1, 1], signal.shape)
+    found = []
+    for factor in (1.0, scale):
+        errors = (np.full(signal.shape, v) for v in (1e-6, 1e-6 * factor, 0.0))
+        line = _normal(
+            reflectance * np.exp(0.01j),
+            Covariance(*errors),
+            usable,
+            np.zeros((6, 6)),
+            SURFACE,
+        )
+        found.append((line.change, line.covariance / factor))
+    assert_allclose(found[1][0], found[0][0], rtol=1e-6, atol=1e-12)
+    assert_allclose(found[1][1], found[0][1], rtol=1e-6, atol=1e-15)
+
+
 def test_contrasts_and_residuals_are_orthogonal_to_what_is_smooth() -> None:
     signal, errors, usable = windows(3)
     contrast = _contrast(signal, errors, usable, SURFACE)
