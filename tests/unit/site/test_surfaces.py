@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.testing import assert_allclose
 from site_scenes import scanning
 
-from amulor.cube import QualityFlag
+from amulor.cube import QualityFlag, schema
 from amulor.errors import CubeError
 from amulor.site.registration import surface as surfaces
 from amulor.site.registration.surface import (
@@ -313,6 +313,17 @@ def test_errors_of_instrument_and_water_grow_with_their_power_of_the_range() -> 
         assert_allclose(shape, sizes[key] * np.array([[1, 1], [0, 1]]))
         expected = 1e-3 * growth[key] * np.array([[0.5, 0.25], [0, 1]])
         assert_allclose(slope, expected)
+
+
+def test_each_term_that_moves_all_pixels_alike_has_a_shape() -> None:
+    terms = {f"uncertainty_{name}": 1e-3 for name in schema.ALIKE_TERMS}
+    found = errors_of(image_of([[2.0, 4.0]], **terms))
+    assert {key.partition(": ")[0] for key in found} == set(schema.ALIKE_TERMS)
+    for name in ("instrument", "corners", "surroundings"):
+        # Their errors differ from scan to scan, and do not grow with the range.
+        shape, growth = found[f"{name}: s"]
+        assert_allclose(shape, 1e-3)
+        assert_allclose(growth, 0.0)
 
 
 def test_a_term_without_an_error_is_none() -> None:

@@ -57,6 +57,8 @@ def shared_errors(
     and water are sums of products of shapes: terms of the reference polynomial times
     cosine and sine of the phase at each frequency. Few principal components of these
     suffice. `course` is the share of the scan at each pixel, by default of its row.
+    Scans with one instrument share its delay and geometry, scans in one water its group
+    index and late echoes. Other terms differ from scan to scan.
     """
     distance = image["slant_range"].values
     measured = np.isfinite(distance)
@@ -72,9 +74,9 @@ def shared_errors(
             term = _filled(image[f"{RANGE_PREFIX}{name}"].values, measured)
             explained += term**2
             if term.any():
-                keys.append(f"{name}: {of[name]}")
+                keys.append(f"{name}: {of.get(name, scan)}")
                 shapes.append(term)
-                growth.append(_POWER[name] * term / reach)
+                growth.append(_POWER.get(name, 0.0) * term / reach)
     if drift > 0:
         if course is None:
             course = np.linspace(0.0, 1.0, distance.shape[0])[:, None]
