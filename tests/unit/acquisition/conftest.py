@@ -158,7 +158,7 @@ def stop_fixture() -> type[Stop]:
 
 @pytest.fixture
 def log() -> list[Any]:
-    """Return what `devices` were told, in order."""
+    """Commands that `devices` received, in order."""
     return []
 
 

@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.constants import speed_of_light
+from signal_chains import FREQUENCIES
 
 from amulor.errors import SurveyError
 from amulor.simulation import ClosureModel, simulate
@@ -17,7 +18,6 @@ from amulor.studies.trust.scenes import instrument
 from amulor.studies.trust.scenes.instrument import Recorded
 from amulor.survey import Survey
 
-FREQUENCIES = np.array([20e6, 60e6])
 SHOTS = "open_water_"
 #: Every error at once, for what must hold whatever is stated.
 ALL: dict[str, Any] = {
@@ -48,17 +48,9 @@ AXES = ("azimuth", "elevation")
 
 
 @pytest.fixture(scope="module")
-def survey(plate: Survey) -> Survey:
-    return plate.with_(
-        {
-            "instrument.modulation_frequencies": list(FREQUENCIES),
-            "instrument.polarizations": ["VV", "VH"],
-            "scan.columns": 6,
-            "scan.rows": 4,
-            "scan.order": "serpentine",
-            "scan.open_water": {"columns": 3, "rows": 2, "repeats": 4},
-        }
-    )
+def survey(survey: Survey) -> Survey:
+    """Return the scan of this folder with four shots in each direction."""
+    return survey.with_({"scan.open_water.repeats": 4})
 
 
 def simulated(survey: Survey, **errors: Any) -> xr.Dataset:

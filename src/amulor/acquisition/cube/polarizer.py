@@ -217,16 +217,15 @@ def _fit(angle: Floats, share: Complex, sigma: Floats) -> _Fit:
         off = ((share - one[:, None] / (one[:, None] + other)) / sigma).ravel()
         return np.concatenate([off.real, off.imag])
 
+    # Of extinctions above 1 the analyzers are exchanged, with the same shares.
+    limit = np.full(4 + 2 * count, np.inf)
+    limit[2:4] = 1.0
     fits = [
         least_squares(
             rest,
             [start, 0.0, 0.0, 0.0, *np.ones(count), *np.zeros(count)],
             x_scale="jac",
-            # Above 1 the analyzers are exchanged, with the same shares.
-            bounds=(
-                [-np.inf] * 2 + [-1.0] * 2 + [-np.inf] * 2 * count,
-                [np.inf] * 2 + [1.0] * 2 + [np.inf] * 2 * count,
-            ),
+            bounds=(-limit, limit),
         )
         for start in np.unique(np.mod(angle, np.pi))
     ]

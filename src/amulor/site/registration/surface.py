@@ -25,8 +25,8 @@ Floats = NDArray[np.float64]
 _MOST_SHAPES = 24
 #: ... this part of the variance of all [1].
 _LEFT_OUT = 1e-9
-#: Power of the range in each error term; late light grows with its square.
-_POWER = {"delay": 0.0, "geometry": 0.0, "group_index": 1.0, "late_echo": 2.0}
+#: Power of the range in the error terms that grow with it.
+_POWER = {"group_index": 1.0, "late_echo": 2.0}
 
 
 @dataclass(frozen=True, kw_only=True)
